@@ -19,6 +19,11 @@ def read_only(array: _Array) -> _Array:
     return array
 
 
+def interpolated(at: FloatArray, t: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return rows (N, d) of the times `t` (N,) as they are `at` others (M,): linear in between, (M, d)."""
+    return np.stack([np.interp(at, t, column) for column in rows.T], axis=1)
+
+
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return vector products (..., 3); NumPy's own function spends its time on the arguments."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.accuracy import Accuracy, Shaking
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.common.reading.file_types import Row
 from cmbot.common.representation import short_repr
 from cmbot.elastic.arm import ElasticArm
@@ -89,7 +89,7 @@ class _AlongWork:
     by: str
 
     def at(self, times: FloatArray) -> FloatArray:
-        return np.stack([np.interp(times, self.t, column) for column in self.tool.T], axis=1)
+        return interpolated(times, self.t, self.tool)
 
     @property
     def figures(self) -> Shaken:
@@ -198,6 +198,7 @@ class _Excited:
 
     def __init__(self, plan: Plan, given: ExcitationFile | None) -> None:
         self.plan, self.given = plan, given
+        self.shaken, self.wind = (None, None) if given is None else (given.deck, given.wind)
         own = plan.robot.damping_ratio
         self.damping = own if given is None or given.damping is None else given.damping
         self.options = SimulationOptions(damping=self.damping, step_s=_STEP_S, output_step_s=_STEP_S)
@@ -210,12 +211,12 @@ class _Excited:
         self.damper = self.best_place() if given_damper == "auto" else given_damper
         samples = plan.samples
         wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
-        self.wrench = np.stack([np.interp(self.t, samples.t, column) for column in wrench.T], axis=1)
+        self.wrench = interpolated(self.t, samples.t, wrench)
 
     def responses(
         self, arm: ElasticArm, postures: FloatArray, damper: DamperFile | None = None
     ) -> list[ModalResponse]:
-        wind = 0.0 if self.given is None or self.given.wind is None else np.radians(self.given.wind.from_deg)
+        wind = 0.0 if self.wind is None else np.radians(self.wind.from_deg)
         towards = -np.array([np.cos(wind), np.sin(wind), 0.0])
         loads = [link_loads(np.array([0.0, 1.0, 0.0])), link_loads(towards, DRAG)]
         place = "tool" if damper is None else damper.at
@@ -278,17 +279,13 @@ class _Excited:
     def kind(self) -> str:
         if self.given is None:
             return "reference"
-        deck = self.given.deck
-        if deck is None:
-            return "still"
-        return next(name for name in ("spectrum", "record", "trains") if getattr(deck, name) is not None)
+        return "still" if self.shaken is None else self.shaken.given
 
     def random(self) -> tuple[Spectrum | None, tuple[float, float]]:
         """The spectrum of what is random among the inputs, and its band, Hz; None where nothing is."""
-        given = self.given
-        wind = None if given is None else given.wind
+        wind = self.wind
         gusty = wind is not None and wind.gusts_m_s > 0 and wind.mean_m_s > 0
-        rows = None if given is None or given.deck is None else given.deck.spectrum
+        rows = None if self.shaken is None else self.shaken.spectrum
         if rows is None and not gusty:
             return None, BAND_HZ
         deck = None if rows is None else linear_spectrum(np.array(rows))
@@ -321,8 +318,8 @@ class _Excited:
 
     def mean_wind(self) -> FloatArray:
         steady = np.zeros(AXES + 2)
-        if self.given is not None and self.given.wind is not None:
-            steady[-1] = AIR_KG_M3 * self.given.wind.mean_m_s**2 / 2
+        if self.wind is not None:
+            steady[-1] = AIR_KG_M3 * self.wind.mean_m_s**2 / 2
         return steady
 
     def tuned(self, spectrum: Spectrum, band: tuple[float, float]) -> DamperGain | None:
@@ -339,7 +336,7 @@ class _Excited:
         self, responses: Sequence[ModalResponse]
     ) -> tuple[tuple[Passage, ...], Timetable | None, tuple[float, ...]]:
         """The passages at each speed, what they leave of an hour, and the speeds of resonance, km/h."""
-        deck = None if self.given is None else self.given.deck
+        deck = self.shaken
         if deck is None or deck.trains is None:
             return (), None, ()
         trains, tolerance = deck.trains, self.plan.scene.tool.tolerance
@@ -373,7 +370,7 @@ class _Excited:
 
     def deck(self, passages: Sequence[Passage]) -> Callable[[FloatArray], FloatArray] | None:
         """The inputs (N, 5) at times (N,) by a record or the worst train; None where there is neither."""
-        deck = None if self.given is None else self.given.deck
+        deck = self.shaken
         if deck is not None and deck.record is not None:
             record = read_record(Path(deck.record), "excitation.deck.record")
             return lambda t: np.hstack([record.at(t), np.zeros((len(t), 2))])

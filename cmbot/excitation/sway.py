@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from scipy.fft import irfft, next_fast_len
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, interpolated
 from cmbot.common.errors import InputError
 from cmbot.common.reading.file_types import Matrices, Row
 from cmbot.common.representation import short_repr
@@ -220,15 +220,10 @@ def _crossing(t: FloatArray, turned: Sequence[Moments], tolerance: Tolerance) ->
 def _outside(t: FloatArray, axes: FloatArray, tool: FloatArray, tolerance: Tolerance) -> BoolArray:
     """Which records (N, R, 3) leave a tolerance, the tool's axes (K, 3) at times `t` (K,)."""
     at = np.linspace(t[0], t[-1], len(tool))
-    axis = np.stack([np.interp(at, t, column) for column in axes.T], axis=1)
+    axis = interpolated(at, t, axes)
     along = np.einsum("nri,ni->nr", tool, axis)
     across = np.sqrt(np.maximum(np.einsum("nri,nri->nr", tool, tool) - along**2, 0.0))
-    outside = np.zeros(tool.shape[1], dtype=np.bool_)
-    if tolerance.across_mm is not None:
-        outside |= (across > tolerance.across_mm / 1e3).any(axis=0)
-    if tolerance.along_axis_mm is not None:
-        outside |= (np.abs(along) > tolerance.along_axis_mm / 1e3).any(axis=0)
-    return outside
+    return ~np.asarray(tolerance.keeps(across, along).all(axis=0))
 
 
 def sampled_tool(

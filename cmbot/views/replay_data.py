@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, interpolated
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import require_type
 from cmbot.planning import (
@@ -173,25 +173,25 @@ class Frames:
         ``strain`` the largest of guardrail and links.
         After its last sample the motion rests there.
         """
-        q = _resampled(times, samples.t, samples.q)
+        q = interpolated(times, samples.t, samples.q)
         near, pair = self._nearest(q)
-        dynamic = None if tracking is None else _resampled(times, tracking.t, tracking.dynamic)
+        dynamic = None if tracking is None else interpolated(times, tracking.t, tracking.dynamic)
         u = None
         if self.bending is not None:
             u = self.bending.coordinates(times, q, dynamic, on)
             some = slice(None, None, max(1, len(q) // _LOOKED_AT))
             self._bent.append((self.bending, q[some], u[some]))
-        load = np.abs(_resampled(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
+        load = np.abs(interpolated(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
         hold = self._hold(samples)
         expected = samples.expected_tool_point
         tool = (
             Kinematics(self._robot).tool_poses(q)[0]
             if expected is None
-            else _resampled(times, samples.t, expected)
+            else interpolated(times, samples.t, expected)
         )
         return {
             "poses": pack(link_poses(self._robot, q)),
-            "torque": pack(_resampled(times, samples.t, samples.guardrail_torque)),
+            "torque": pack(interpolated(times, samples.t, samples.guardrail_torque)),
             "clearance": pack(np.interp(times, samples.t, samples.clearance)),
             "near": pack(near),
             "pair": pack(pair),
@@ -201,7 +201,7 @@ class Frames:
             "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),
             "tool": pack(tool),
             "expected": expected is not None,
-            "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
+            "error": None if tracking is None else pack(interpolated(times, tracking.t, tracking.error)),
             "strain": 0.0 if u is None or self.bending is None else self.bending.largest_strain(u),
             "peakTorque": metrics.peak_guardrail_torque,
             # Infinite without a pair of shapes that can collide; JSON has no infinity.
@@ -246,11 +246,6 @@ class Frames:
 def frame_times(start: float, end: float, step: float) -> FloatArray:
     """Return equally spaced times from `start` to `end`, at most `step` apart."""
     return np.linspace(start, end, max(int(np.ceil((end - start) / step)), 1) + 1)
-
-
-def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
-    """Interpolate `values` (N, k) at `t` (N,) linearly at `times` (F,)."""
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=1)
 
 
 def bending_of(frames: Sequence[Frames], reach: float) -> tuple[dict[str, Any] | None, list[FloatArray]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.common.installation import model_folder
 from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
@@ -126,8 +126,7 @@ def _at(times: FloatArray, samples: list[WalkSamples], name: str) -> FloatArray:
     which = np.searchsorted(begins, times, side="right") - 1
     for k, part in enumerate(samples):
         some, own = times[which == k], getattr(part, name)
-        own = own.reshape(len(part.t), -1)
-        values.append(np.stack([np.interp(some, part.t, column) for column in own.T], axis=1))
+        values.append(interpolated(some, part.t, own.reshape(len(part.t), -1)))
     return np.concatenate(values)
 
 

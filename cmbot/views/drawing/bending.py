@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.strain import tube_strains
@@ -128,13 +128,13 @@ class Bending:
             arms.append(self._arm)
         found = [Sag(arm).equilibria(q[some])[:2] for arm in arms]
         coarse = np.where(at_work[some, None], found[-1][0], found[0][0])
-        u = _between(t, t[some], coarse)
+        u = interpolated(t, t[some], coarse)
         if len(arms) > 1:  # the force sets in at once
-            on_u, off_u = (_between(t, t[some], each[0]) for each in reversed(found))
+            on_u, off_u = (interpolated(t, t[some], each[0]) for each in reversed(found))
             u = np.where(at_work[:, None], on_u, off_u)
         if dynamic is not None:
             shapes = self._shapes(q[some], found[0][0], found[0][1])
-            spread = _between(t, t[some], shapes.reshape(len(some), -1)).reshape(len(t), -1, 3)
+            spread = interpolated(t, t[some], shapes.reshape(len(some), -1)).reshape(len(t), -1, 3)
             u = u + np.einsum("kfi,ki->kf", spread, np.nan_to_num(dynamic))
         return u
 
@@ -193,10 +193,6 @@ class Bending:
     def _rails(self) -> Rails | None:
         elastic = self._arm.base is not None and bool(self._plan.scene.elastic_guardrail.post_positions)
         return Rails(held_guardrail(self._plan.scene, self._plan.robot)) if elastic else None
-
-
-def _between(t: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(t, at, column) for column in values.T], axis=1)
 
 
 def _pose(X: Any) -> list[float]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Obstacle
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.planning import Plan
 from cmbot.robot import Chain, Robot
 from cmbot.views.drawing.meshcat_scene import reach, surroundings
@@ -170,7 +170,7 @@ def _spread(outline: FloatArray) -> FloatArray:
     """Places along an outline (N, 3), as many as are looked at of all."""
     along = np.append(0.0, np.linalg.norm(np.diff(outline, axis=0), axis=1).cumsum())
     at = np.linspace(0.0, along[-1], _PLACES)
-    return np.stack([np.interp(at, along, column) for column in outline.T], axis=1)
+    return interpolated(at, along, outline)
 
 
 def link_corners(robot: Robot, poses: FloatArray) -> FloatArray:
