@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from cmbot.planning.task import ToolTask
 from cmbot.scene import StrokeFile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
+T = TypeVar("T", bound="Timed")
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
 
@@ -104,6 +105,10 @@ class Timed(Protocol):
     """A part of a job with figures: a `Segment`, or one of the baseline."""
 
     @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
     def kind(self) -> Literal["stroke", "free"]:
         """Whether the tool is on."""
 
@@ -116,12 +121,42 @@ class Timed(Protocol):
         """Its duration, s."""
 
     @property
+    def end(self) -> float:
+        """When it ends on that clock, s."""
+
+    @property
     def figures(self) -> MotionMetrics:
         """Its figures."""
 
 
+class Timeline(Generic[T]):
+    """Segments one after the other, on one clock from 0."""
+
+    segments: tuple[T, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of all of it, s."""
+        return self.segments[-1].end
+
+    @property
+    def strokes(self) -> tuple[T, ...]:
+        """The segments with the tool on."""
+        return tuple(segment for segment in self.segments if segment.kind == "stroke")
+
+    def segment(self, name: str) -> T | None:
+        """Return the segment of that name; None where there is none."""
+        return next((segment for segment in self.segments if segment.name == name), None)
+
+    @cached_property
+    def free_figures(self) -> MotionMetrics | None:
+        """The figures of the free moves together; None without any."""
+        moves = [segment for segment in self.segments if segment.kind == "free"]
+        return job_metrics(moves) if moves else None
+
+
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class Job(Timeline[Segment]):
     """A certified motion: segments one after the other, continuous postures and rest at the joins.
 
     Attributes
@@ -133,20 +168,6 @@ class Job:
     segments: tuple[Segment, ...]
 
     __repr__ = short_repr
-
-    @property
-    def duration(self) -> float:
-        """Time of the whole job, s."""
-        return self.segments[-1].end
-
-    @property
-    def strokes(self) -> tuple[Segment, ...]:
-        """The segments with the tool on."""
-        return tuple(segment for segment in self.segments if segment.kind == "stroke")
-
-    def segment(self, name: str) -> Segment | None:
-        """Return the segment of that name; None where there is none."""
-        return next((segment for segment in self.segments if segment.name == name), None)
 
     def changed(self, name: str, **changes: Any) -> Job:
         """Return the job with other fields of the segment of that name."""
@@ -178,12 +199,6 @@ class Job:
     def stroke_figures(self) -> MotionMetrics:
         """The figures of the strokes together."""
         return job_metrics(self.strokes, begin=self.strokes[0].begin)
-
-    @cached_property
-    def free_figures(self) -> MotionMetrics | None:
-        """The figures of the free moves together; None without any."""
-        moves = [segment for segment in self.segments if segment.kind == "free"]
-        return job_metrics(moves) if moves else None
 
     @cached_property
     def stroke_certificate(self) -> Certificate:

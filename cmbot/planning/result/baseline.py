@@ -15,7 +15,7 @@ from cmbot.common.representation import short_repr
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.job import RETURN, free_move_name, job_metrics
+from cmbot.planning.job import RETURN, Timeline, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
@@ -58,7 +58,7 @@ class BaselineSegment:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Baseline(StrokeBaseline):
+class Baseline(StrokeBaseline, Timeline[BaselineSegment]):
     """The baseline of a job.
 
     What a `StrokeBaseline` says of its stroke, this says of all of them: its samples lead from the first
@@ -74,30 +74,10 @@ class Baseline(StrokeBaseline):
 
     __repr__ = short_repr
 
-    def segment(self, name: str) -> BaselineSegment | None:
-        """Return the segment of that name; None where there is none."""
-        return next((segment for segment in self.segments if segment.name == name), None)
-
-    @property
-    def duration(self) -> float:
-        """Time of the whole job, s."""
-        return self.segments[-1].end
-
     @cached_property
     def job_figures(self) -> MotionMetrics:
         """Figures of the whole job."""
         return job_metrics(self.segments)
-
-    @cached_property
-    def free_figures(self) -> MotionMetrics | None:
-        """Figures of the free moves; None without any."""
-        moves = [segment for segment in self.segments if segment.kind == "free"]
-        return job_metrics(moves) if moves else None
-
-    @property
-    def strokes(self) -> tuple[BaselineSegment, ...]:
-        """The segments with the tool on."""
-        return tuple(segment for segment in self.segments if segment.kind == "stroke")
 
     @property
     def work(self) -> tuple[BaselineSegment, ...]:
