@@ -123,22 +123,40 @@ class HoldingTorque(_SignedTorque):
 
 
 @dataclass(frozen=True)
-class ToolDeviation:
+class _OfTool:
+    """A bound on the tool."""
+
+    postures: Postures | BentTool
+
+    def _tool(self, states: StateSamples) -> ToolBatch:
+        """The tool at the states: computed once, whichever constraints need it."""
+        if isinstance(self.postures, BentTool):
+            return states.computed(id(self.postures), partial(self.postures.at, states.t, states.q))
+        return states.computed(id(self.postures), partial(self.postures.tool_at, states.q))
+
+
+@dataclass(frozen=True)
+class _OfTask(_OfTool):
+    """A bound on the tool beside its task."""
+
+    task: ToolTask
+    bound: float
+
+
+@dataclass(frozen=True)
+class ToolDeviation(_OfTask):
     """Distance of the tool point from the leg of its time within its bound.
 
     That is never less than its distance from all the legs, and unlike that has no kink at a corner.
     """
 
-    postures: Postures | BentTool
-    task: ToolTask
-    bound: float
     name: str = "tool deviation"
     limit: Limit = Limit.TOOL_DEVIATION
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
-        offset = self.task.path.leg_offset(states.t, _tool(self.postures, states).tool_point)
+        offset = self.task.path.leg_offset(states.t, self._tool(states).tool_point)
         value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
@@ -147,7 +165,7 @@ class ToolDeviation:
 
         To first order a distance knows no direction but its own; a step could leave the leg in any other.
         """
-        tool = _tool(self.postures, states)
+        tool = self._tool(states)
         J = tool.jacobian[:, :3]
         offset = self.task.path.leg_offset(states.t, tool.tool_point) / self.bound
         distance = np.linalg.norm(offset, axis=1)
@@ -163,12 +181,9 @@ class ToolDeviation:
 
 
 @dataclass(frozen=True)
-class ToolLag:
+class ToolLag(_OfTask):
     """Distance of the tool point along the leg from its timed place within its bound; ahead, then behind."""
 
-    postures: Postures | BentTool
-    task: ToolTask
-    bound: float
     name: str = "tool lag"
     limit: Limit = Limit.TOOL_LAG
     components: int = 2
@@ -176,7 +191,7 @@ class ToolLag:
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return +lag/bound - 1 and -lag/bound - 1, (N, 2)."""
         path = self.task.path
-        away = _tool(self.postures, states).tool_point - path.position(states.t)
+        away = self._tool(states).tool_point - path.position(states.t)
         share = np.einsum("ki,ki->k", away, path.leg_directions(states.t))[:, None] / self.bound
         value = np.hstack([share - 1, -share - 1])
         return value, np.broadcast_to(np.arange(2), value.shape)
@@ -185,26 +200,23 @@ class ToolLag:
         """Linearize the lag of one sign at each state."""
         k, sign = np.arange(len(component)), np.where(component == 0, 1.0, -1.0)
         by_point = (sign / self.bound)[:, None] * self.task.path.leg_directions(states.t)
-        d_q = np.einsum("ki,kij->kj", by_point, _tool(self.postures, states).jacobian[:, :3])
+        d_q = np.einsum("ki,kij->kj", by_point, self._tool(states).jacobian[:, :3])
         return Linearization(
             self.sample(states)[0][k, component], d_q, np.zeros_like(d_q), np.zeros_like(d_q)
         )
 
 
 @dataclass(frozen=True)
-class ToolRotation:
+class ToolRotation(_OfTask):
     """Angle by which the tool misses its prescribed orientation or axis within its bound."""
 
-    postures: Postures | BentTool
-    task: ToolTask
-    bound: float
     name: str = "tool rotation"
     limit: Limit = Limit.TOOL_ROTATION
     components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return angle/bound - 1, (N, 1)."""
-        tool = _tool(self.postures, states)
+        tool = self._tool(states)
         value = self.task.rotation(tool.tool_rotation, self._goals(tool, states))[:, None] / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
@@ -214,7 +226,7 @@ class ToolRotation:
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the angle."""
-        tool, task = _tool(self.postures, states), self.task
+        tool, task = self._tool(states), self.task
         goals = self._goals(tool, states)
         turn = task.errors(tool.tool_point, tool.tool_rotation, goals)[:, 3:] / self.bound
         # The errors lead to the goal: they fall as the tool turns towards it.
@@ -226,16 +238,13 @@ class ToolRotation:
 
 
 @dataclass(frozen=True)
-class ToolTilt:
+class ToolTilt(_OfTask):
     """Angle between the tool's axis and that of the path within its cone, by the squared chord.
 
     Between unit vectors at an angle the chord is 2 sin(angle/2); unlike the angle its square is smooth where
     the axes agree.
     """
 
-    postures: Postures | BentTool
-    task: ToolTask
-    bound: float  # rad
     name: str = "tool tilt"
     limit: Limit = Limit.TOOL_TILT
     components: int = 1
@@ -252,7 +261,7 @@ class ToolTilt:
         In the middle of the cone the squared chord has no slope: a step could leave the cone anywhere.
         """
         z, z_goal = self._axes(states)
-        turns, away = _tool(self.postures, states).jacobian[:, 3:] / self._chord, (z - z_goal) / self._chord
+        turns, away = self._tool(states).jacobian[:, 3:] / self._chord, (z - z_goal) / self._chord
         square = (away**2).sum(axis=1)
         # An axis z moves by (rates of turn) x z.
         d_q = 2 * np.einsum("ki,kij->kj", cross(z, away), turns)
@@ -271,15 +280,14 @@ class ToolTilt:
     def _axes(self, states: StateSamples) -> tuple[FloatArray, FloatArray]:
         """The tool's axes and those of the path, (N, 3) each."""
         rotation = self.task.path.rotation(states.t)
-        z = _tool(self.postures, states).tool_rotation[:, :, 2]
+        z = self._tool(states).tool_rotation[:, :, 2]
         return z, np.broadcast_to(rotation[:, :, 2], z.shape)
 
 
 @dataclass(frozen=True)
-class ToolSpeed:
+class ToolSpeed(_OfTool):
     """Speed of the tool point within its bound."""
 
-    postures: Postures | BentTool
     bound: float
     name: str = "tool speed"
     limit: Limit = Limit.TOOL_SPEED
@@ -287,13 +295,13 @@ class ToolSpeed:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return speed/bound - 1, (N, 1)."""
-        velocity = np.einsum("ijk,kj->ki", _tool(self.postures, states).leading_jacobian[:3], states.v)
+        velocity = np.einsum("ijk,kj->ki", self._tool(states).leading_jacobian[:3], states.v)
         value = np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the speed."""
-        tool = _tool(self.postures, states)
+        tool = self._tool(states)
         velocity, by_q = tool.point_velocity(states.v)
         speed = np.linalg.norm(velocity, axis=1) / self.bound
         along = velocity / np.maximum(speed, _ZERO_NORM)[:, None] / self.bound**2
@@ -302,22 +310,19 @@ class ToolSpeed:
 
 
 @dataclass(frozen=True)
-class ProcessSpeed:
+class ProcessSpeed(_OfTask):
     """Speed of the tool point within its bound of the process speed, as a share of that; above, then below.
 
     Along the path it is not below, which is no weaker than that the speed is not, and linear in the rates.
     """
 
-    postures: Postures | BentTool
-    task: ToolTask
-    bound: float
     name: str = "process speed"
     limit: Limit = Limit.PROCESS_SPEED
     components: int = 2
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return (speed/asked - 1)/bound - 1 and (1 - speed along the path/asked)/bound - 1, (N, 2)."""
-        velocity = np.einsum("ijk,kj->ki", _tool(self.postures, states).leading_jacobian[:3], states.v)
+        velocity = np.einsum("ijk,kj->ki", self._tool(states).leading_jacobian[:3], states.v)
         per_speed, along = self._asked(states)
         fast = np.linalg.norm(velocity, axis=1) * per_speed - 1
         slow = 1 - np.einsum("ki,ki->k", velocity, along) * per_speed
@@ -326,7 +331,7 @@ class ProcessSpeed:
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize one of the two at each state."""
-        tool = _tool(self.postures, states)
+        tool = self._tool(states)
         velocity, by_q = tool.point_velocity(states.v)
         per_speed, along = self._asked(states)
         speed = np.maximum(np.linalg.norm(velocity, axis=1), _ZERO_NORM)[:, None]
@@ -353,13 +358,6 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     angle = np.arange(_DIRECTION_COUNT)[:, None, None] * (2 * np.pi / _DIRECTION_COUNT)
     return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))
-
-
-def _tool(postures: Postures | BentTool, states: StateSamples) -> ToolBatch:
-    """The tool at the states: computed once, whichever constraints need it."""
-    if isinstance(postures, BentTool):
-        return states.computed(id(postures), partial(postures.at, states.t, states.q))
-    return states.computed(id(postures), partial(postures.tool_at, states.q))
 
 
 @dataclass(eq=False)
