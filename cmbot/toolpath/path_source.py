@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -19,57 +19,34 @@ from cmbot.toolpath.time_law import SpeedProfile
 class PathDescription(Protocol):
     """Legs, waypoints or a raster, and how they are timed: with the units of a scene's ``tool_path``."""
 
-    @property
-    def legs(self) -> tuple[Leg, ...]:
-        """From where the path begins, each from rest to rest."""
-
-    @property
-    def waypoints(self) -> Sequence[Sequence[float]] | None:
-        """In place of legs waypoints: x, y, z, qw, qx, qy, qz in W."""
-
-    @property
-    def corner_deg(self) -> float:
-        """Where waypoints bend by more the tool may rest."""
+    legs: tuple[Leg, ...]
+    """From where the path begins, each from rest to rest."""
+    waypoints: tuple[tuple[float, ...], ...] | None
+    """In place of legs waypoints: x, y, z, qw, qx, qy, qz in W."""
+    corner_deg: float
+    """Where waypoints bend by more the tool may rest."""
+    raster: Raster | None
+    """In place of legs rows over a surface."""
+    start_pose: Goal | None
+    """Where the legs begin, in place of the tool's pose before."""
+    blend_radius_m: float | None
+    """By which corners are rounded, m."""
+    seconds: float | Literal["auto"] | None
+    """Duration of the waypoints or of the raster, s."""
+    speed_m_s: float | None
+    """In place of that the speed at which the tool cruises, m/s."""
+    speed_tolerance: float | None
+    """By what share the tool's speed may miss that of the process."""
+    lead_in_m: float | None
+    """Length of the lead before the path, m."""
+    lead_out_m: float | None
+    """Length of the lead behind it, m."""
+    speed_profile: SpeedProfile
+    """Of every leg."""
 
     @property
     def kept(self) -> str:
         """What of the tool's orientation counts: ``pose``, ``axis`` or ``position``."""
-
-    @property
-    def raster(self) -> Raster | None:
-        """In place of legs rows over a surface."""
-
-    @property
-    def start_pose(self) -> Goal | None:
-        """Where the legs begin, in place of the tool's pose before."""
-
-    @property
-    def blend_radius_m(self) -> float | None:
-        """By which corners are rounded, m."""
-
-    @property
-    def seconds(self) -> float | Literal["auto"] | None:
-        """Duration of the waypoints or of the raster, s."""
-
-    @property
-    def speed_m_s(self) -> float | None:
-        """In place of that the speed at which the tool cruises, m/s."""
-
-    @property
-    def speed_tolerance(self) -> float | None:
-        """By what share the tool's speed may miss that of the process."""
-
-    @property
-    def lead_in_m(self) -> float | None:
-        """Length of the lead before the path, m."""
-
-    @property
-    def lead_out_m(self) -> float | None:
-        """Length of the lead behind it, m."""
-
-    @property
-    def speed_profile(self) -> SpeedProfile:
-        """Of every leg."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
