@@ -26,6 +26,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
+from cmbot.common.reading.fields import Posture, Text
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
@@ -40,9 +41,6 @@ _MAX_MEASUREMENTS = 1000
 _RANGE_TOLERANCE = 0.05
 
 Share = Annotated[float, Field(ge=1e-3, le=3)]
-Text = Annotated[str, Field(min_length=1, max_length=4096)]
-Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
-Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
 Deflection = Annotated[float, Field(ge=-1000, le=1000)] | None
 
 

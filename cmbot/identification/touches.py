@@ -19,28 +19,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.reading.fields import Posture, Text, Vector, given_of
 from cmbot.common.reading.input_files import read_csv
 from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import short_repr
 from cmbot.elastic.sag import Sag
-from cmbot.identification.measurements import Coordinate, Posture, Text, posture_of, scene_named
+from cmbot.identification.measurements import posture_of, scene_named
 from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Scene, load_scene
 
 _MAX_TOUCHES, _LARGEST_CSV = 1000, 1_000_000
-_TOUCH_SHAPES = ("point", "plane", "edge", "cylinder")
+_Shape = Literal["point", "plane", "edge", "cylinder"]
+_TOUCH_SHAPES = get_args(_Shape)
 _PLACE_KEYS = ("posture_deg", "posture", "place")
-
-Vector = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PlaneFile(FileModel):
@@ -90,7 +90,7 @@ class TouchFile(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         for names in (_PLACE_KEYS, _TOUCH_SHAPES):
-            given = [name for name in names if getattr(self, name) is not None]
+            given = given_of(self, names)
             if len(given) != 1:
                 raise refusal(f"exactly one of {', '.join(names)}", got=" and ".join(given) or "none")
         return self
@@ -123,7 +123,7 @@ class Feature:
         Of a cylinder.
     """
 
-    kind: Literal["point", "plane", "edge", "cylinder"]
+    kind: _Shape
     point: FloatArray
     axis: FloatArray
     radius: float = 0.0
@@ -294,22 +294,18 @@ def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
 
 
 def _feature(touch: TouchFile, source: str, number: int) -> Feature:
-    match touch:
-        case TouchFile(point=(_, _, _) as corner):
-            return Feature(kind="point", point=np.array(corner), axis=np.zeros(3))
-        case TouchFile(plane=PlaneFile() as plane):
-            axis = _unit(plane.normal, source, f"touches[{number}].plane.normal")
-            return Feature(kind="plane", point=np.array(plane.point), axis=axis)
-        case TouchFile(cylinder=CylinderFile() as cylinder):
-            axis = _unit(cylinder.direction, source, f"touches[{number}].cylinder.direction")
-            return Feature(
-                kind="cylinder", point=np.array(cylinder.point), axis=axis, radius=cylinder.radius_m
-            )
-        case TouchFile(edge=EdgeFile() as edge):
-            axis = _unit(edge.direction, source, f"touches[{number}].edge.direction")
-            return Feature(kind="edge", point=np.array(edge.point), axis=axis)
-        case _:
-            raise InputError(source, f"touches[{number}]", "no feature", "one", _TOUCH_SHAPES)
+    """What was touched, with the axis that it is about."""
+    if touch.point is not None:
+        return Feature(kind="point", point=np.array(touch.point), axis=np.zeros(3))
+    shapes: dict[_Shape, PlaneFile | EdgeFile | None] = {"plane": touch.plane, "edge": touch.edge}
+    shapes["cylinder"] = touch.cylinder
+    for kind, entry in shapes.items():
+        if entry is not None:
+            name = "normal" if isinstance(entry, PlaneFile) else "direction"
+            axis = _unit(getattr(entry, name), source, f"touches[{number}].{kind}.{name}")
+            radius = entry.radius_m if isinstance(entry, CylinderFile) else 0.0
+            return Feature(kind=kind, point=np.array(entry.point), axis=axis, radius=radius)
+    raise InputError(source, f"touches[{number}]", "no feature", "one", _TOUCH_SHAPES)
 
 
 def _unit(direction: Vector, source: str, key: str) -> FloatArray:
