@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from cmbot.accuracy.budget import (
     Accuracy as Accuracy,
-    AccuracyPart as AccuracyPart,
-    Remedy as Remedy,
     Shaking as Shaking,
     Work as Work,
     WorkPath as WorkPath,

@@ -1,6 +1,6 @@
 """What shakes an arm: the deck under it, trains over it, wind; how its tool sways, and what helps."""
 
-from cmbot.excitation.excite import Excitation as Excitation, Shaken as Shaken, excite as excite
+from cmbot.excitation.excite import Excitation as Excitation, excite as excite
 from cmbot.excitation.ground import require_inputs as require_inputs
 from cmbot.excitation.summary import (
     PASSAGE_HEADINGS as PASSAGE_HEADINGS,
@@ -9,4 +9,4 @@ from cmbot.excitation.summary import (
     passage_rows as passage_rows,
     random_inputs as random_inputs,
 )
-from cmbot.excitation.sway import RandomSway as RandomSway, sway_mm_per_m_s2 as sway_mm_per_m_s2
+from cmbot.excitation.sway import sway_mm_per_m_s2 as sway_mm_per_m_s2

@@ -30,9 +30,7 @@ from cmbot.identification.location import (
 )
 from cmbot.identification.measurements import (
     Measurements as Measurements,
-    MeasurementsFile as MeasurementsFile,
     MeasuringSetup as MeasuringSetup,
-    Prior as Prior,
     is_sheet as is_sheet,
     read_measurements as read_measurements,
 )
@@ -44,7 +42,6 @@ from cmbot.identification.model import (
     prior_deviations as prior_deviations,
     sag_along as sag_along,
 )
-from cmbot.identification.problem import MatchedFrequency as MatchedFrequency
 from cmbot.identification.report import (
     HEADINGS as HEADINGS,
     MODE_HEADINGS as MODE_HEADINGS,

@@ -40,7 +40,6 @@ from cmbot.planning.path.start_posture import StartPosture as StartPosture, find
 from cmbot.planning.planner import plan as plan, replan as replan
 from cmbot.planning.postures.projection import project_onto_task as project_onto_task
 from cmbot.planning.precheck import (
-    Precheck as Precheck,
     precheck_options as precheck_options,
     precheck_scene as precheck_scene,
     require_tool_speed as require_tool_speed,
@@ -109,7 +108,6 @@ from cmbot.planning.workcell.diagnosis import (
 )
 from cmbot.planning.workcell.objectives import (
     Objective as Objective,
-    PostureFunction as PostureFunction,
     PostureObjective as PostureObjective,
     WeightedMoment as WeightedMoment,
     WrenchFunction as WrenchFunction,

@@ -7,7 +7,6 @@ from cmbot.robot.climber import (
 )
 from cmbot.robot.description.completion import AttachedTool as AttachedTool, ToolShape as ToolShape
 from cmbot.robot.description.files import RobotFiles as RobotFiles, robot_files as robot_files
-from cmbot.robot.description.frames import arm_frames as arm_frames
 from cmbot.robot.description.hulls import convex_hull as convex_hull, encloses_volume as encloses_volume
 from cmbot.robot.description.mesh_file import (
     faces_of as faces_of,
@@ -20,7 +19,7 @@ from cmbot.robot.description.self_collision import (
     NEAR as NEAR,
     sampled_postures as sampled_postures,
 )
-from cmbot.robot.description.xml_file import parse_urdf as parse_urdf, urdf_content as urdf_content
+from cmbot.robot.description.xml_file import parse_urdf as parse_urdf
 from cmbot.robot.dynamics import Dynamics as Dynamics, Efforts as Efforts, external_forces as external_forces
 from cmbot.robot.elasticity import JointElasticity as JointElasticity, LinkTube as LinkTube
 from cmbot.robot.holding_joints import (

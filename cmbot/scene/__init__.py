@@ -8,13 +8,8 @@ from cmbot.scene.base.guardrail import (
     feet_at as feet_at,
     guardrail_obstacles as guardrail_obstacles,
 )
-from cmbot.scene.base.hold import Face as Face, HoldFile as HoldFile, held_member as held_member
-from cmbot.scene.base.identified import (
-    IdentifiedBase as IdentifiedBase,
-    IdentifiedSpring as IdentifiedSpring,
-    IdentifiedStiffness as IdentifiedStiffness,
-)
-from cmbot.scene.base.mounts import MountsFile as MountsFile
+from cmbot.scene.base.hold import Face as Face, held_member as held_member
+from cmbot.scene.base.identified import IdentifiedStiffness as IdentifiedStiffness
 from cmbot.scene.base.stance import (
     LIFT_M as LIFT_M,
     PLATE_OFFSET_M as PLATE_OFFSET_M,
@@ -68,7 +63,6 @@ from cmbot.scene.scene_file import (
 from cmbot.scene.template import NewRobot as NewRobot, limits_text as limits_text, scene_text as scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE as SPEED_TOLERANCE, Tool as Tool
 from cmbot.scene.uncertainty import (
-    JointUncertainty as JointUncertainty,
     Placement as Placement,
     Tolerance as Tolerance,
     Uncertainty as Uncertainty,

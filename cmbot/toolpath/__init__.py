@@ -1,14 +1,7 @@
 """Timed paths of the tool: curves, time laws, legs and rows over surfaces that make them."""
 
 from cmbot.toolpath.builder import timed_path as timed_path
-from cmbot.toolpath.curves import (
-    Arc as Arc,
-    Blend as Blend,
-    Curve as Curve,
-    CylinderCurve as CylinderCurve,
-    Line as Line,
-    Spline as Spline,
-)
+from cmbot.toolpath.curves import Line as Line, Spline as Spline
 from cmbot.toolpath.legs import (
     AUTO as AUTO,
     ArcTo as ArcTo,
@@ -18,7 +11,7 @@ from cmbot.toolpath.legs import (
     Speed as Speed,
     ViaPoints as ViaPoints,
 )
-from cmbot.toolpath.path_source import PathDescription as PathDescription, PathSource as PathSource
+from cmbot.toolpath.path_source import PathSource as PathSource
 from cmbot.toolpath.raster.face_rows import FaceSurface as FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece as RowPiece, cells_of as cells_of, without as without
 from cmbot.toolpath.raster.raster import (

@@ -25,7 +25,7 @@ from cmbot.views.report import (
     report as report,
     report_page as report_page,
 )
-from cmbot.views.show import Shown as Shown, show as show
+from cmbot.views.show import show as show
 
 if TYPE_CHECKING:
     from cmbot.views.overview.excitation import EXCITATION as EXCITATION, excitation_page as excitation_page
