@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.campaigns.task import require_task_name
 from cmbot.common.errors import InputError, SceneError
@@ -58,11 +58,9 @@ class CampaignFile(FileModel):
     memory_limit_mb: Annotated[int, Field(ge=1000, le=1_000_000)] = 4000
     """Address space of a job's process, of which it uses a part."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if not self.jobs and self.table is None and self.folder is None:
             raise refusal("one of jobs, table and folder", got="none of them")
-        return self
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,7 @@ from cmbot.campaigns.runner import require_dask, task_results
 from cmbot.campaigns.task import Task, TaskResult
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.reading.validation import given_path, plain, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import robot_of
 from cmbot.scene import RobotFile, Scene, Stance
 from cmbot.version import versions
@@ -53,7 +53,7 @@ class CampaignProgress:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Campaign:
+class Campaign(ShortRepr):
     """What a campaign came to.
 
     Attributes
@@ -74,8 +74,6 @@ class Campaign:
     rows: tuple[Mapping[str, Any], ...]
     kept: Counter[str]
     seconds: float
-
-    __repr__ = short_repr
 
     @property
     def ends(self) -> Counter[str]:

@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.fields import Length
 from cmbot.common.reading.validation import CheckedFields, require_type, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 LEAST_SCALE, MOST_SCALE = 1e-6, 1e3
 """Units of a shape: from micrometres to kilometres, m."""
@@ -98,7 +98,7 @@ Shape = Box | Cylinder | Capsule | Sphere | Mesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Obstacle:
+class Obstacle(ShortRepr):
     """An obstacle: a shape, placed in W.
 
     Attributes
@@ -124,8 +124,6 @@ class Obstacle:
     workpiece: bool = False
     scale: float | None = None
     contact: float = 0.0
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         require_type(self.name, str, "Obstacle", "name", "text")

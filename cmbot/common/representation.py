@@ -35,6 +35,16 @@ def short_repr(self: Any) -> str:
     return fields_repr(type(self).__name__, changed)
 
 
+class ShortRepr:
+    """Base of dataclasses whose repr is `short_repr`, but for those that have another one."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        # In each class itself: a dataclass without one of its own gets a long one.
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = short_repr  # type: ignore[method-assign]
+
+
 def fields_repr(name: str, values: Mapping[str, object]) -> str:
     """Return the short repr of a class of that name with these fields."""
     room, shown = LONGEST_REPR - len(name) - len("(...)"), list[str]()

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.excitation.response import AXES, ModalResponse, Spectrum, TunedDamper
 
 STIFFNESS_FACTORS = (0.7, 1.0, 1.3)
@@ -25,7 +25,7 @@ _MOST_EVALUATIONS, _FLAT_OPTIMUM = 60, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class DamperGain:
+class DamperGain(ShortRepr):
     """A damper, and the RMS of the tool with it and without.
 
     Attributes
@@ -45,8 +45,6 @@ class DamperGain:
     rms_without: float
     each_with: tuple[float, ...]
     each_without: tuple[float, ...]
-
-    __repr__ = short_repr
 
 
 def den_hartog(response: ModalResponse, mass: float) -> TunedDamper:

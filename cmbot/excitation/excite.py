@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.common.reading.file_types import Row
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.excitation.along_work import PostureSystem, tool_along
@@ -60,7 +60,7 @@ _CURVE_HZ = np.geomspace(*BAND_HZ, 400)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shaken:
+class Shaken(ShortRepr):
     """A work under a record or a train from its begin: how far the tool is from where it would be, m.
 
     Attributes
@@ -76,8 +76,6 @@ class Shaken:
     peak: float
     peak_time: float
     by: str
-
-    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.reading.input_files import read_csv
 from cmbot.common.reading.validation import shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.excitation.response import require_place
 from cmbot.excitation.trains import Train, train_of
 from cmbot.robot import Robot
@@ -24,13 +24,11 @@ _LARGEST_MEAN_M_S2 = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Record:
+class Record(ShortRepr):
     """Accelerations of the deck (N, 3), m/s2, in W, at times `t` (N,), s, from 0; linear between."""
 
     t: FloatArray
     a: FloatArray
-
-    __repr__ = short_repr
 
     def at(self, t: FloatArray) -> FloatArray:
         """Return the accelerations (M, 3) at times (M,); zero after the end."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.excitation.response import AXES, ModalResponse
 from cmbot.excitation.trains import Span, Train, pressure_pulse
 from cmbot.robot import Robot
@@ -44,7 +44,7 @@ class PassageLoad:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Passage:
+class Passage(ShortRepr):
     """What a train at one speed does, at worst over the postures of the work.
 
     Attributes
@@ -78,8 +78,6 @@ class Passage:
     still_s: float
     pause_s: float
     kept: bool | None
-
-    __repr__ = short_repr
 
 
 def passage(
@@ -163,7 +161,7 @@ def resonance_speeds(train: Train, first_hz: float, slowest: float, fastest: flo
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timetable:
+class Timetable(ShortRepr):
     """How much of an hour is left for work where the arm pauses for trains, between strokes alone.
 
     Attributes
@@ -188,8 +186,6 @@ class Timetable:
     work_s: float
     pauses_at_s: tuple[float, ...]
     rests_s: tuple[tuple[float, float], ...] = ()
-
-    __repr__ = short_repr
 
 
 def timetable(

@@ -26,7 +26,7 @@ from scipy.signal import lfilter
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.first_order import BAND_HZ
 from cmbot.elastic.modes import arm_modes
@@ -58,7 +58,7 @@ def linear_spectrum(rows: FloatArray) -> Spectrum:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Moments:
+class Moments(ShortRepr):
     """Second moments of stationary outputs y and of their rates.
 
     Attributes
@@ -77,8 +77,6 @@ class Moments:
     rate: FloatArray
     cross: FloatArray
     first: FloatArray
-
-    __repr__ = short_repr
 
     def along(self, rows: FloatArray) -> Moments:
         """Return those of ``rows @ y``, rows (k, d)."""
@@ -128,7 +126,7 @@ class Undamped:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ModalResponse:
+class ModalResponse(ShortRepr):
     """An arm in one posture as its modes; nine outputs: of the tool and of the wrench; m inputs.
 
     Attributes
@@ -168,8 +166,6 @@ class ModalResponse:
     shapes: FloatArray
     momenta: FloatArray
     damper: TunedDamper | None = None
-
-    __repr__ = short_repr
 
     @cached_property
     def outputs(self) -> FloatArray:

@@ -17,7 +17,7 @@ from scipy.fft import irfft, next_fast_len
 from cmbot.common.arrays import BoolArray, FloatArray, interpolated
 from cmbot.common.errors import InputError
 from cmbot.common.reading.file_types import Matrices, Row
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.first_order import BAND_HZ
@@ -51,7 +51,7 @@ _MEMORY_DECAYS = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RandomSway:
+class RandomSway(ShortRepr):
     """The tool's motion about where it would be, stationary in each of K postures of the work.
 
     Attributes
@@ -83,8 +83,6 @@ class RandomSway:
     peak_factor: float
     leaves: float | None
     leaves_by: str | None
-
-    __repr__ = short_repr
 
     @property
     def rms(self) -> FloatArray:

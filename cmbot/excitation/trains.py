@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 # With three the deflection under a load is within 0.3 % of that of all modes.
 _SPAN_MODES = 3
@@ -41,13 +41,11 @@ _HALF_PULSE_M = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Train:
+class Train(ShortRepr):
     """Axles behind the first one, m, ascending from 0, and their loads, N; arrays (A,)."""
 
     axles: FloatArray
     loads: FloatArray
-
-    __repr__ = short_repr
 
     @property
     def length(self) -> float:

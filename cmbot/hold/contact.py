@@ -22,7 +22,7 @@ import numpy as np
 import shapely
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.hold.friction import Friction, Slipping
 
 Gap = Literal["none", "allowed"]
@@ -48,7 +48,7 @@ _HUGE_N = 1e100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
+class Contact(ShortRepr):
     """A flat contact, in the plate's frame: its origin is the centroid, coordinates along and across, m.
 
     Attributes
@@ -58,8 +58,6 @@ class Contact:
     """
 
     outline: tuple[Ring, ...]
-
-    __repr__ = short_repr
 
     @staticmethod
     def of(region: shapely.Geometry) -> tuple[Contact, FloatArray]:

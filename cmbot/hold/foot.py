@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.hold.contact import MAGNET_PRESSURE, Contact, Gap
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Foot:
+class Foot(ShortRepr):
     """A foot that holds a member, or a link of a robot that stands on something flat.
 
     Attributes
@@ -55,8 +55,6 @@ class Foot:
     force: tuple[float, float, float] | None = None
     moment: tuple[float, float, float] | None = None
     share: FloatArray
-
-    __repr__ = short_repr
 
     @property
     def bounded(self) -> bool:

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.estimation import Identification
 from cmbot.identification.measurements import MeasuringSetup
@@ -41,7 +41,7 @@ _POSTURES_AROUND, _REFINED = 30, (0.5, 0.3, 0.15, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Proposal:
+class Proposal(ShortRepr):
     """Postures to measure in.
 
     Attributes
@@ -72,8 +72,6 @@ class Proposal:
     job: FloatArray
     candidates: int
     measured: int = 0
-
-    __repr__ = short_repr
 
     def sheet(self, scene: str) -> str:
         """Return a file of measurements to fill in; `scene` is how it names the scene."""

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, expm
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import validated
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import TooSoftError
 from cmbot.elastic.stiffness_parameters import (
@@ -44,7 +44,7 @@ class Weight(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
+class Identification(ShortRepr):
     """The stiffness that measurements tell.
 
     Attributes
@@ -97,8 +97,6 @@ class Identification:
     job: FloatArray | None
     before: SagAlong | None
     after: SagAlong | None
-
-    __repr__ = short_repr
 
 
 def estimate(

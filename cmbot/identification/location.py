@@ -26,7 +26,7 @@ from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
 from cmbot.scene import Placement, Scene
 
@@ -42,7 +42,7 @@ _POSE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "abou
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Location:
+class Location(ShortRepr):
     """Where a frame is.
 
     Attributes
@@ -69,8 +69,6 @@ class Location:
     residuals: tuple[FloatArray, ...]
     left_out: tuple[int, ...]
     not_fixed: tuple[str, ...]
-
-    __repr__ = short_repr
 
     @property
     def placement(self) -> Placement:

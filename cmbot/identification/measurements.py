@@ -19,10 +19,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
@@ -30,7 +30,7 @@ from cmbot.common.reading.fields import Posture, Text
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.identification.records import RingDown, UnusableRecord, read_record
 from cmbot.planning import robot_of
 from cmbot.robot import JointLimits, Robot
@@ -101,8 +101,7 @@ class MeasurementFile(FileModel):
     """In place of them a table ``t,ax,ay,az``, or as Klipper, phones and loggers write it, of an
     accelerometer on the tool: a tap, and its decay."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if (self.posture is None) == (self.posture_deg is None):
             raise refusal("either posture_deg or posture", got="both" if self.posture else "neither")
         if list(self.frequencies_hz) != sorted(self.frequencies_hz):
@@ -110,7 +109,6 @@ class MeasurementFile(FileModel):
             raise refusal(expected, got=self.frequencies_hz, key=("frequencies_hz",))
         if self.record is not None and self.frequencies_hz:
             raise refusal("no such key beside record", got="both", key=("frequencies_hz",))
-        return self
 
 
 class MeasurementsFile(MeasuringSetup):
@@ -125,8 +123,7 @@ class MeasurementsFile(MeasuringSetup):
     job: Annotated[tuple[Posture, ...] | None, Field(min_length=1, max_length=_MAX_MEASUREMENTS)] = None
     """Postures, rad and m, in which the sag is wanted; left out: nothing is told of it."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         each = self.measurements
         if not any(
             one.frequencies_hz or one.record or any(x is not None for x in one.deflection_mm or ())
@@ -134,11 +131,10 @@ class MeasurementsFile(MeasuringSetup):
         ):
             expected = "a measured number in a deflection_mm, a frequencies_hz or a record"
             raise refusal(expected, got="none", key=("measurements",))
-        return self
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measurements:
+class Measurements(ShortRepr):
     """What was measured, in SI.
 
     Attributes
@@ -167,8 +163,6 @@ class Measurements:
     job: FloatArray | None
     modes: tuple[RingDown, ...] = ()
     rows: tuple[str, ...] = ()
-
-    __repr__ = short_repr
 
     def key(self, row: int) -> str:
         """Return what a row is called in messages."""

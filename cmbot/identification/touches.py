@@ -19,10 +19,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
@@ -30,7 +30,7 @@ from cmbot.common.reading.fields import Posture, Text, Vector, given_of
 from cmbot.common.reading.input_files import read_csv
 from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag
 from cmbot.identification.measurements import posture_of, scene_named
 from cmbot.planning import bending_arm, robot_of
@@ -87,13 +87,11 @@ class TouchFile(FileModel):
     edge: EdgeFile | None = None
     cylinder: CylinderFile | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         for names in (_PLACE_KEYS, _TOUCH_SHAPES):
             given = given_of(self, names)
             if len(given) != 1:
                 raise refusal(f"exactly one of {', '.join(names)}", got=" and ".join(given) or "none")
-        return self
 
 
 class TouchesFile(TouchSetup):
@@ -143,7 +141,7 @@ class Feature:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Touches:
+class Touches(ShortRepr):
     """What was touched, in SI.
 
     Attributes
@@ -168,8 +166,6 @@ class Touches:
     X_WF: FloatArray
     places: FloatArray
     features: tuple[Feature, ...]
-
-    __repr__ = short_repr
 
 
 def read_touches(source: str | Path | Mapping[str, Any], scene: Scene | str | Path | None = None) -> Touches:

@@ -17,7 +17,7 @@ from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import lines_named
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import Holding
 from cmbot.optimization import piqp_module
@@ -56,7 +56,7 @@ _Found = tuple[str, str] | Finding
 
 
 @dataclass(frozen=True, kw_only=True)
-class Precheck:
+class Precheck(ShortRepr):
     """What was found.
 
     Attributes
@@ -69,8 +69,6 @@ class Precheck:
 
     found: tuple[tuple[str, str], ...]
     warnings: tuple[Finding, ...]
-
-    __repr__ = short_repr
 
 
 def precheck_scene(scene: Scene) -> Precheck:

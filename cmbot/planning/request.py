@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, SceneError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning.budget import Deadline
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
@@ -26,7 +26,7 @@ _NEGLIGIBLE_LOAD_SHARE = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JobState:
+class JobState(ShortRepr):
     """How far a job is planned.
 
     Attributes
@@ -43,11 +43,9 @@ class JobState:
     begin: float = 0.0
     reached: float = 0.0
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StrokeRequest:
+class StrokeRequest(ShortRepr):
     """A stroke that is to be planned.
 
     Attributes
@@ -95,8 +93,6 @@ class StrokeRequest:
     least_travel: bool = False
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
-
-    __repr__ = short_repr
 
     @property
     def objective(self) -> Objective:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.errors import InputError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Keep
 from cmbot.toolpath import ToolPath, ToolPoses, shortest_turns
@@ -23,7 +23,7 @@ _ZERO_ANGLE_SINE, _NEARLY_HALF_A_TURN = 1e-300, -0.9
 
 
 @dataclass(frozen=True, eq=False)
-class ToolTask:
+class ToolTask(ShortRepr):
     """The part of a tool path that the arm has to follow, as m task coordinates.
 
     The first three are the tool point in W, m; then, for ``pose``, a rotation vector in W; for ``axis``, the
@@ -57,8 +57,6 @@ class ToolTask:
     speed_tolerance: float | None = None
     max_base_torque: float | None = None
     max_sway: float | None = None
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):

@@ -27,7 +27,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.reading.fields import Modulus, Thickness, require_span
 from cmbot.common.reading.validation import FileModel, refusal, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
@@ -38,7 +38,7 @@ _MIN_LENGTH_M = 1e-3  # m
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkTube:
+class LinkTube(ShortRepr):
     """The round tube that models the bending of a link; a file's values are bounded.
 
     Attributes
@@ -59,8 +59,6 @@ class LinkTube:
     wall: Annotated[Thickness, Field(alias="wall_m")]
     young: Annotated[Modulus, Field(alias="young_pa")]
     shear: Annotated[Modulus, Field(alias="shear_pa")]
-
-    __repr__ = short_repr
 
     @property
     def length(self) -> float:
@@ -84,7 +82,7 @@ class LinkTube:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointElasticity:
+class JointElasticity(ShortRepr):
     """What gives way in series with the drive of a joint that turns; a file's values are bounded.
 
     Attributes
@@ -103,20 +101,16 @@ class JointElasticity:
     damping: Annotated[float, Field(alias="damping_nms_rad", ge=0, le=1e9)] = 0.0
     tilting: Annotated[TurningStiffness | None, Field(alias="tilting_nm_rad")] = None
 
-    __repr__ = short_repr
-
 
 class _ElasticityFile(FileModel):
     format: Literal["cmbot-elasticity/1", "cmbot-elasticity/2"]
     links: dict[str, LinkTube] = Field(default_factory=dict)
     joints: dict[str, JointElasticity] | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.format == "cmbot-elasticity/1" and self.joints is not None:
             expected = "no such key in cmbot-elasticity/1: it goes with cmbot-elasticity/2"
             raise refusal(expected, got="joints", key=("joints",))
-        return self
 
 
 class Elasticity(NamedTuple):

@@ -21,7 +21,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.reading.validation import counted
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.robot.description.limits_file import (
     LEAST_LIMIT,
     GivenLimits,
@@ -53,7 +53,7 @@ _FLAG_FIELDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointLimits:
+class JointLimits(ShortRepr):
     """Bounds of every joint (Chang 2021, Eqs. (31)-(32) and Table 3); the arrays are read-only.
 
     Attributes
@@ -86,8 +86,6 @@ class JointLimits:
     assumed_acceleration: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     assumed_jerk: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     assumed_torque: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name in _FLAG_FIELDS:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.reading.fields import Angle, Coordinate, FilePath, Length, OneOf, Text
@@ -38,11 +38,9 @@ class SpanFile(FileModel):
     at_m: Coordinate
     """Where the robot stands, from the bearing at which trains come on, m."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if not 0 <= self.at_m <= self.length_m:
             raise refusal("a place on the span, 0 to length_m", got=self.at_m, key=("at_m",))
-        return self
 
 
 class TrainsFile(FileModel):
@@ -59,11 +57,9 @@ class TrainsFile(FileModel):
     minutes: Annotated[tuple[Minute, ...], Field(min_length=1, max_length=60)] | None = None
     """In place of ``per_hour``: when they come, minutes past each hour."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.minutes is not None and self.per_hour is not None:
             raise refusal("per_hour or minutes", got="both", key=("minutes",))
-        return self
 
 
 class DeckFile(OneOf):
@@ -81,13 +77,12 @@ class DeckFile(OneOf):
     (m/s2)^2/Hz; linear in between, nothing outside."""
     trains: TrainsFile | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         for before, after in pairwise(self.spectrum or ()):
             if not before[0] < after[0]:
                 got = f"{after[0]:g} Hz after {before[0]:g} Hz"
                 raise refusal("rows in the order of their frequencies", got=got, key=("spectrum",))
-        return self
 
 
 class WindFile(FileModel):
@@ -119,13 +114,11 @@ class ExcitationFile(FileModel):
     damping: Ratio | None = None
     """Ratio of every mode of the arm; left out: as identified, otherwise 0.01."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.deck is None and self.wind is None:
             raise refusal("deck or wind", got="neither")
         if self.passing is not None and (self.deck is None or self.deck.trains is None):
             raise refusal("no such key without deck.trains", got="passing", key=("passing",))
-        return self
 
 
 class DamperFile(FileModel):
@@ -156,12 +149,10 @@ class ModesFile(FileModel):
     """A row for each mode: displacement along x, y, z and rotation about them at the foot, m and rad, at a
     modal mass of 1 kg m2."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         # Rotations are taken in metres, at a lever of one.
         if np.linalg.cond(np.array(self.shapes)) > _WORST_CONDITION:
             raise refusal("six shapes that are independent", got="dependent ones", key=("shapes",))
-        return self
 
     def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return stiffness, mass and damping (6, 6) at the foot, linear then angular, SI."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Self, cast
+from typing import Annotated, cast
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.collision import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.collision.obstacles import LEAST_SCALE, MOST_SCALE
@@ -49,8 +49,8 @@ class ObstacleFile(OneOf):
     millimetres. ``xyz`` is in metres anyway. 1 says that an obstacle is meant to be as large and as far away
     as it is."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         for index, number in enumerate(self.in_metres):
             if not SHORTEST <= number <= LONGEST:
                 written = np.atleast_1d(getattr(self, self.given)).tolist()[index]
@@ -58,7 +58,6 @@ class ObstacleFile(OneOf):
                 bound = f"at least {SHORTEST:g}" if number < SHORTEST else f"at most {LONGEST:g}"
                 key = (self.given,) if self.given == "sphere" else (self.given, index)
                 raise refusal(bound, got=got, key=key)
-        return self
 
     @property
     def in_metres(self) -> list[float]:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from cmbot.common.reading.validation import CheckedFields, refusal, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.toolpath import AUTO
 
 MOST_SAMPLES = 400
@@ -35,7 +35,7 @@ AutoOrBool = Annotated[Literal["auto"] | bool, BeforeValidator(_auto_or_bool)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannerOptions(CheckedFields):
+class PlannerOptions(CheckedFields, ShortRepr):
     """How a motion is planned; every option has a default.
 
     Attributes
@@ -178,5 +178,3 @@ class PlannerOptions(CheckedFields):
     time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0
     max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80
     max_iterations: Annotated[int, Field(ge=1, le=100_000)] = 1000
-
-    __repr__ = short_repr

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
@@ -93,11 +93,9 @@ class AttachedToolFile(FileModel):
     mesh: FilePath | None = None
     """In place of shapes the path of a mesh file in the flange's frame, m, relative to the scene file."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.mesh is not None and self.shapes:
             raise refusal("shapes or a mesh, not both", got="both", key=("mesh",))
-        return self
 
     @property
     def tool(self) -> AttachedTool:
@@ -227,8 +225,7 @@ class RobotFile(FileModel):
     """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one
     by the volumes of their shapes. Every torque is then an estimate."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.tool is not None and self.tool_length_m is not None:
             raise refusal("tool or tool_length_m, not both", got="both", key=("tool_length_m",))
         for name in _URDF_KEYS:
@@ -236,7 +233,6 @@ class RobotFile(FileModel):
                 got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
                 raise refusal(expected, got=got, key=(name,))
-        return self
 
     @property
     def files(self) -> dict[str, Any]:

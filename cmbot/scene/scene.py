@@ -17,7 +17,6 @@ from pydantic import (
     ConfigDict,
     Field,
     PrivateAttr,
-    model_validator,
 )
 
 from cmbot.collision import Obstacle
@@ -146,8 +145,7 @@ class Scene(FileModel):
     _files: dict[str, str] = PrivateAttr({})
     _stowed: tuple[float, ...] | None = PrivateAttr(None)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.guardrail.stance is not None:
             if not self.on_guardrail:
                 expected = "no such key with a URDF of one's own, whose mount says where it stands"
@@ -181,7 +179,6 @@ class Scene(FileModel):
                 expected = f"one of {', '.join(frames)}" if frames else "no such key: the scene has no frames"
                 raise refusal(expected, got=shown(obstacle.frame), key=("obstacles", index, "frame"))
         self._listed = tuple(str(stroke.name) for stroke in self.strokes)
-        return self
 
     def _check_identified(self) -> None:
         identified = self.identified

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 # Half-width of a mode's band, as a share of its frequency: the frequency changes with the posture.
 _MODE_BAND_SHARE = 0.2
@@ -58,7 +58,7 @@ class Residual:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorMetrics:
+class ErrorMetrics(ShortRepr):
     """The metrics of a motion's tracking error.
 
     Attributes
@@ -82,8 +82,6 @@ class ErrorMetrics:
     residual: Residual | None
     mode_frequencies: FloatArray
     mode_power: FloatArray
-
-    __repr__ = short_repr
 
 
 def error_metrics(

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.reading.validation import refusal
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
 Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -22,7 +22,7 @@ def _share(ratio: object) -> object:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationOptions:
+class SimulationOptions(ShortRepr):
     """How a motion is simulated; every option has a default.
 
     The bounds in the annotations are checked by `cmbot.simulate`.
@@ -84,8 +84,6 @@ class SimulationOptions:
     delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2
-
-    __repr__ = short_repr
 
     def damping_or(self, ratio: float) -> float:
         """Return the damping asked for; where none is, the `ratio` of the robot."""

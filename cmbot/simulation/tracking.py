@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import checked_options
-from cmbot.common.representation import card, short_repr
+from cmbot.common.representation import ShortRepr, card
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
@@ -45,7 +45,7 @@ _SAG_STEP, _QUICK_JOINT_RAD_S, _LONGEST_SAG_STEP = 0.02, 0.1, 8.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotionTracking:
+class MotionTracking(ShortRepr):
     """The tracking error of one motion, in W, every `output_step_s`.
 
     Attributes
@@ -82,8 +82,6 @@ class MotionTracking:
     metrics: ErrorMetrics
     execution: FloatArray | None = None
     base: FloatArray | None = None
-
-    __repr__ = short_repr
 
     @property
     def dynamic(self) -> FloatArray:

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic import elastic_base
 from cmbot.planning import held_guardrail, robot_of
 from cmbot.robot import ARM_JOINTS, Climber, Robot, Side, load_climbing_robot
@@ -37,7 +37,7 @@ _END_MARGIN_M = 0.04
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
+class Candidate(ShortRepr):
     """A stance, and where the arm's base is in it.
 
     Attributes
@@ -56,8 +56,6 @@ class Candidate:
     base: FloatArray
     climber: FloatArray
     at_origin: bool = False
-
-    __repr__ = short_repr
 
     @property
     def place(self) -> str:
@@ -80,7 +78,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MountCandidate:
+class MountCandidate(ShortRepr):
     """A mount of an arm that has no feet.
 
     Attributes
@@ -100,8 +98,6 @@ class MountCandidate:
     base: FloatArray
     stiffness: FloatArray | None
     feet: tuple[Side, ...] = (1,)  # what is held counts as one
-
-    __repr__ = short_repr
 
     @property
     def place(self) -> str:

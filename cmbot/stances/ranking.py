@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, InputError, PlanningError, SceneError
 from cmbot.common.reading.validation import counted, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
@@ -55,7 +55,7 @@ _Group = frozenset[int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StanceRanking:
+class StanceRanking(ShortRepr):
     """Stances for strokes that are done from one, the best first.
 
     Attributes
@@ -82,8 +82,6 @@ class StanceRanking:
     plans: int = StandOptions.plans
     ended_by: Literal["", "interrupt", "time"] = ""
     sag_limit: SagLimit | None = None
-
-    __repr__ = short_repr
 
     @property
     def unit(self) -> str:

@@ -22,7 +22,7 @@ from cmbot.common.errors import (
     PathNotFound,
     PlanningError,
 )
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import Plan
 from cmbot.stances.bounds import NO_BOUNDS, NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
@@ -200,7 +200,7 @@ class Rejection:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StanceResult:
+class StanceResult(ShortRepr):
     """A stance, how far it was judged, and with what result.
 
     Attributes
@@ -242,8 +242,6 @@ class StanceResult:
     plan: Plan | None = None
     rejection: Rejection | None = None
     own: bool = False
-
-    __repr__ = short_repr
 
     @property
     def place(self) -> str:

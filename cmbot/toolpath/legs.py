@@ -73,8 +73,7 @@ class Goal(CheckedFields):
     axis: UnitVector | None = None
     frame: Slug = "world"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         _at_most_one(self, ("rpy_deg", "axis"))
 
 
@@ -109,8 +108,7 @@ class ArcTo(CheckedFields):
     turns: bool = False
     frame: Slug = "world"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         given = set(given_of(self, ("via", "to", "centre", "axis", "angle_deg")))
         if given not in ({"via", "to"}, {"centre", "axis", "angle_deg"}):
             got = ", ".join(sorted(given)) or "nothing"
@@ -151,8 +149,7 @@ class Leg(CheckedFields):
     seconds: SecondsOrAuto | None = None
     speed_m_s: Speed | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         exactly_one(self, ("by", "to", "arc", "pause"))
         if self.pause is None:
             # Without either it has the seconds of the path, which may be found.

@@ -12,7 +12,7 @@ from pydantic import Field
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import CheckedFields
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.toolpath.shaper import Shaper
 
 _Duration = Annotated[float, Field(gt=0, le=36_000)]
@@ -29,7 +29,7 @@ Kind = Literal["trapezoidal", "jerk_limited", "quiet"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TimeLaw:
+class TimeLaw(ShortRepr):
     """A law from rest to rest: a polynomial in each of K phases.
 
     Attributes
@@ -45,8 +45,6 @@ class TimeLaw:
     breaks: FloatArray
     coefficients: FloatArray
     continuity: IntArray
-
-    __repr__ = short_repr
 
     @staticmethod
     def ramped(kind: Kind, up: float, cruise: float, down: float, *, flat: float = 0.0) -> TimeLaw:
@@ -252,8 +250,7 @@ class LegLaw(CheckedFields):
     seconds: Annotated[tuple[_Duration, ...], Field(min_length=1, max_length=1000)]
     jerk: Annotated[tuple[_Jerk, ...], Field(min_length=2, max_length=1001)]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if len(self.jerk) != len(self.seconds) + 1:
             raise InputError("LegLaw", "jerk", f"{len(self.jerk)} numbers", f"{len(self.seconds) + 1}")
         if not self._covered > 0:

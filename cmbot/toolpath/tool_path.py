@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.toolpath.curves import Curve, Line
 from cmbot.toolpath.time_law import LegLaw, ProcessPart, TimeLaw
 from cmbot.toolpath.tool_poses import ToolPoses
@@ -27,7 +27,7 @@ _LEG_SHARE_DIGITS = 9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Segment:
+class Segment(ShortRepr):
     """A leg of a path, from rest to rest.
 
     Attributes
@@ -53,8 +53,6 @@ class Segment:
     process: ProcessPart | None = None
     is_open: bool = False
 
-    __repr__ = short_repr
-
     @property
     def is_straight(self) -> bool:
         """Whether the tool point moves along a line, or stays."""
@@ -73,7 +71,7 @@ class Segment:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ToolPath:
+class ToolPath(ShortRepr):
     """Segments one after the other, each from rest to rest.
 
     Attributes
@@ -86,8 +84,6 @@ class ToolPath:
 
     segments: tuple[Segment, ...]
     orientation: FloatArray
-
-    __repr__ = short_repr
 
     @staticmethod
     def straight(corners: FloatArray, orientation: FloatArray, seconds: FloatArray, law: TimeLaw) -> ToolPath:

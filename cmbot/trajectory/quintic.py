@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.common.reading.file_types import Row, Rows
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
 # By how much times may miss the ends, as a share of the duration: they come from sums of steps.
@@ -95,7 +95,7 @@ class Extrema:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class QuinticTrajectory:
+class QuinticTrajectory(ShortRepr):
     """Piecewise quintics through knots with given position, velocity and acceleration.
 
     Position, velocity and acceleration are continuous whatever the knots' values are; jerk is continuous
@@ -118,8 +118,6 @@ class QuinticTrajectory:
     q: Rows
     v: Rows
     a: Rows
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a"):

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +19,6 @@ from pydantic import (
     WithJsonSchema,
     WrapSerializer,
     WrapValidator,
-    model_validator,
 )
 
 from cmbot.common.errors import InputError
@@ -168,10 +167,8 @@ class OneOf(FileModel):
 
     one_of: ClassVar[tuple[str, ...]] = ()
 
-    @model_validator(mode="after")
-    def _check_one(self) -> Self:
+    def _check(self) -> None:
         exactly_one(self, self.one_of)
-        return self
 
     @property
     def given(self) -> str:

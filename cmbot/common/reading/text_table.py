@@ -21,7 +21,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.input_files import read_input
 from cmbot.common.reading.validation import counted, hint, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 
 _NAME_AND_UNIT = re.compile(r"\s*(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])])?\s*")
 _SEPARATORS = (";", "\t", ",")
@@ -33,7 +33,7 @@ GAPS = ("", "-", "nan", "null", "none")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TextTable:
+class TextTable(ShortRepr):
     """Rows of cells, each with its line in the file.
 
     Attributes
@@ -58,8 +58,6 @@ class TextTable:
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     error_type: type[InputError]
-
-    __repr__ = short_repr
 
     def index(self, *names: str) -> int | None:
         """Return the number of the column that has one of some names; None where there is none."""

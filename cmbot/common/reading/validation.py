@@ -72,6 +72,13 @@ class FileModel(BaseModel):
     # A validator is built when it is first asked for: most commands need a few of all models.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
+    def model_post_init(self, context: Any, /) -> None:
+        """Check it: a validator of the model would be named in messages about unions."""
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse values that do not go together."""
+
     def __repr__(self) -> str:
         """Its name and what was set, shortly."""
         return fields_repr(type(self).__name__, {name: getattr(self, name) for name in self.model_fields_set})
@@ -175,6 +182,10 @@ class CheckedFields:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse values that do not go together."""
 
 
 @cache

@@ -17,7 +17,7 @@ from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
@@ -44,7 +44,7 @@ _COARSE_RATIO = 1e5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Certificate:
+class Certificate(ShortRepr):
     """What a trajectory was found to do.
 
     Attributes
@@ -66,8 +66,6 @@ class Certificate:
     clearance_bound: float
     guardrail_torque_bound: float
     adhesion_bound: float = np.inf
-
-    __repr__ = short_repr
 
     @property
     def holds(self) -> bool:

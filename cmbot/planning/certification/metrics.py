@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.reading.file_types import ModerateOrInfinite, NonNegative
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
@@ -28,7 +28,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionMetrics:
+class MotionMetrics(ShortRepr):
     """What a motion asks of the guardrail and how it keeps to its task.
 
     Attributes
@@ -69,11 +69,9 @@ class MotionMetrics:
     duration: NonNegative
     guardrail_torque_integral: NonNegative
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class Samples(ShortRepr):
     """A motion at N times, with everything that is plotted or written of it.
 
     Attributes
@@ -112,8 +110,6 @@ class Samples:
     tool_rotation: FloatArray
     clearance: FloatArray
     adhesion_needed: FloatArray | None = None
-
-    __repr__ = short_repr
 
 
 def measure(

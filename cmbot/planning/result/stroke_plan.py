@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.reading.file_types import Count, NonNegative
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.certification.metrics import MotionMetrics, Samples
 from cmbot.planning.flexibility.sag_compensation import Compensation
@@ -30,7 +30,7 @@ _PEAK_SAMPLES, _COARSE_SAMPLES = 400, 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
+class Start(ShortRepr):
     """Where a motion starts, and the starts that failed.
 
     Attributes
@@ -47,11 +47,9 @@ class Start:
     moved: float
     failures: tuple[PathNotFound, ...]
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectiveMetrics:
+class ObjectiveMetrics(ShortRepr):
     """The objective of a plan, and its peaks.
 
     Attributes
@@ -79,8 +77,6 @@ class ObjectiveMetrics:
     baseline_peak: NonNegative | None
     planned_peak: NonNegative
     floor: NonNegative | None
-
-    __repr__ = short_repr
 
     @property
     def gap(self) -> float | None:
@@ -121,7 +117,7 @@ def baseline_task(task: ToolTask, file: StrokeFile, options: PlannerOptions) -> 
 
 
 @dataclass(frozen=True, kw_only=True)
-class StrokeBaseline:
+class StrokeBaseline(ShortRepr):
     """The motion along a stroke that the planned one is compared with: `PlannerOptions.baseline` says which.
 
     Eq. (22) of Chang 2021, or its part without the null space, integrated from the scene's posture, or from
@@ -145,8 +141,6 @@ class StrokeBaseline:
     drift: float
     smallest_singular_value: float
 
-    __repr__ = short_repr
-
     @property
     def states(self) -> StateSamples:
         """Its states at the times of its samples."""
@@ -155,7 +149,7 @@ class StrokeBaseline:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StrokePlan:
+class StrokePlan(ShortRepr):
     """What is planned of a stroke, beside its baseline; its motion is a segment of the job.
 
     Attributes
@@ -189,8 +183,6 @@ class StrokePlan:
     choice: Choice | None
     compensation: Compensation | None
     runs: Count
-
-    __repr__ = short_repr
 
 
 def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:

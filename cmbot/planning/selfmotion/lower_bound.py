@@ -18,7 +18,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.reading.file_types import Count, NonNegative, Row, Share
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.charts import GraphLayer
@@ -50,7 +50,7 @@ _PROVEN, _LOWERED = 1e-3, 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LowerBound:
+class LowerBound(ShortRepr):
     """A lower bound of the peak of the objective at rest, over all admissible plans.
 
     Attributes
@@ -78,8 +78,6 @@ class LowerBound:
     each: Row
     kind: Literal["proven", "estimated"] = "estimated"
     missed: Share | None = None
-
-    __repr__ = short_repr
 
     def met(self, values: FloatArray) -> LowerBound:
         """Return it for a plan with `values` (n,) at rest at the via-points: no estimate is above them."""

@@ -14,7 +14,7 @@ from cmbot.accuracy import stroke_sway
 from cmbot.collision import Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, ModelError, SceneError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.elastic import Guardrail, elastic_base, shares
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.modes import arm_modes
@@ -37,7 +37,7 @@ _TOLD_BESIDE_M = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Workcell:
+class Workcell(ShortRepr):
     """What is there while a job is planned, and how it is planned.
 
     Attributes
@@ -62,8 +62,6 @@ class Workcell:
     idle_objective: Objective
     arm: ElasticArm | None = None
     sag: Sag | None = None
-
-    __repr__ = short_repr
 
     @classmethod
     def of(cls, robot: Robot, obstacles: Sequence[Obstacle], options: PlannerOptions) -> Workcell:

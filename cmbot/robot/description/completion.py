@@ -16,7 +16,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
@@ -73,7 +73,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AttachedTool:
+class AttachedTool(ShortRepr):
     """A tool that is fixed to the arm's flange.
 
     Attributes
@@ -93,8 +93,6 @@ class AttachedTool:
     mass: float = 0.0
     com: Triple | None = None
     shapes: tuple[ToolShape, ...] = ()
-
-    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.xyz, *self.rpy, *(self.com or ())], dtype=float)

@@ -15,7 +15,7 @@ from cmbot.common.installation import model_folder
 from cmbot.common.reading.input_files import is_file, read_input
 from cmbot.common.reading.validation import given_path, hint
 from cmbot.common.reading.yaml_reader import LARGEST_FILE
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.robot.description.completion import AttachedTool
 from cmbot.robot.description.limits_file import read_joint_limits
@@ -34,7 +34,7 @@ _ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotFiles:
+class RobotFiles(ShortRepr):
     """Where a robot is described.
 
     Attributes
@@ -67,8 +67,6 @@ class RobotFiles:
     xacro: Mapping[str, str] = field(default_factory=dict)
     total_mass: float | None = None
     tool: AttachedTool | None = None
-
-    __repr__ = short_repr
 
     def read(self) -> tuple[bytes, ElementTree.Element]:
         """Return the content of the URDF, xacro expanded, and its tree as it stands there.

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Annotated, Self, cast
+from typing import Annotated, cast
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
@@ -58,13 +58,12 @@ class SectionFile(OneOf):
     flat: tuple[Thickness, Thickness] | None = None
     """Flat bar: [width, thickness], m; at roll 0 the width of a rail is along y."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         for key, sides in (("angle", self.angle), ("flat", self.flat)):
             if sides is not None and sides[1] >= sides[0]:
                 whole = "leg" if key == "angle" else "width"
                 raise refusal(f"a thickness below the {whole}", got=sides, key=(key,))
-        return self
 
     def section(self) -> Section:
         """Return the section as data."""
@@ -91,12 +90,10 @@ class PostFile(FileModel):
     box_m: tuple[Length, Length] = (0.075, 0.075)
     """Collision box along x and y, m."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if not self.bottom_m <= self.clamp_m < self.top_m:
             expected = "a height from bottom_m up to below top_m"
             raise refusal(expected, got=self.clamp_m, key=("clamp_m",))
-        return self
 
 
 class RailFile(FileModel):
@@ -188,8 +185,7 @@ class GuardrailFile(FileModel):
         posts = (f"post_{number}" for number in range(1, self.bays + 2))
         return (*(rail.name for rail in self.rails), *posts)
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.bays > 0:
             self._check_rails()
             self._check_foot()
@@ -199,7 +195,6 @@ class GuardrailFile(FileModel):
         if self.stiffness_factor is not None and (self.stiffness is not None or not self.bays):
             got = "a factor beside it" if self.stiffness is not None else "a factor"
             raise refusal("posts whose stiffness it is of", got=got, key=("stiffness_factor",))
-        return self
 
     def _check_rails(self) -> None:
         names = self.member_names

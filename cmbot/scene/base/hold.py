@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import shapely
-from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator
 from shapely.affinity import rotate, translate
 
 from cmbot.common.arrays import FloatArray, read_only
@@ -88,8 +88,7 @@ class HoldFile(FileModel):
     moment_nm: tuple[Load, Load, Load] | None = None
     """Of a clamp: the moments that it bears about these axes, Nm."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         curves = ("derating", "air_gap_derating")
         magnet = ("adhesion_n", "air_gap_mm", *curves)
         of = dict.fromkeys(magnet, "magnet") | {"force_n": "clamp", "moment_nm": "clamp"}
@@ -108,7 +107,6 @@ class HoldFile(FileModel):
         if (self.air_gap_mm is None) != (self.air_gap_derating is None):
             missing = "air_gap_mm" if self.air_gap_mm is None else "air_gap_derating"
             raise refusal("a value, as the other one is given", got="nothing", key=(missing,))
-        return self
 
     @property
     def plate(self) -> shapely.Geometry:
@@ -324,13 +322,12 @@ class LinkHoldFile(HoldFile):
     steel_mm: Annotated[float, Field(ge=0.01, le=1e4)] | None = None
     """Thickness of the steel that a magnet holds, for `derating` and what two poles pull; left out: thick."""
 
-    @model_validator(mode="after")
-    def _check_pull(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         most = MAGNET_PRESSURE * self.plate.area
         if self.adhesion_n is not None and self.adhesion_n > most:
             expected = f"at most {most:.0f} N, 1.6 MPa on the contact of {1e4 * self.plate.area:.0f} cm2"
             raise refusal(expected, got=f"{self.adhesion_n:g} N", key=("adhesion_n",))
-        return self
 
     def foot(self, X_WL: FloatArray, foot_point: FloatArray) -> Foot:
         """Return the foot.

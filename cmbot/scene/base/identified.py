@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.reading.fields import Text, Vector
@@ -96,8 +96,7 @@ class IdentifiedStiffness(FileModel):
     covariance: Annotated[tuple[Numbers, ...], Field(min_length=1, max_length=300)]
     """Of what was identified, a row for each number."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         count = len(self.links) + len(self.joints) + (0 if self.base is None else _BASE_PARAMETERS)
         rows = {len(row) for row in self.covariance}
         if len(self.covariance) != count or rows != {count}:
@@ -109,7 +108,6 @@ class IdentifiedStiffness(FileModel):
             raise refusal("a symmetric matrix", got="one that is not", key=("covariance",))
         if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
             raise refusal("a covariance", got="a matrix with negative variances", key=("covariance",))
-        return self
 
     @property
     def springs(self) -> tuple[tuple[str, str], ...]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, PlainSerializer, WrapValidator, model_validator
+from pydantic import Field, PlainSerializer, WrapValidator
 
 from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray
@@ -42,15 +42,13 @@ class FootholdFile(FileModel):
     """By which the foot is turned about the face's normal, a multiple of 90; at 0 its z axis is along the
     member."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.turn_deg not in _QUARTER_TURNS_DEG:
             raise refusal("a multiple of 90 within a turn", got=self.turn_deg, key=("turn_deg",))
         kind = "post" if self.member.startswith("post_") else "rail"
         if self.face not in FACES[kind]:
             choices = tuple(FACES[kind])
             raise refusal(f"a face of a {kind}", got=shown(self.face), key=("face",), choices=choices)
-        return self
 
 
 def _place_or_free(value: Any, place: Any) -> Any:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
@@ -48,15 +48,13 @@ class TubeFile(FileModel):
     density_kg_m3: Density
     """Of its material: aluminium 2700, steel 7850."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if math.dist(self.start_m, self.end_m) < self.outer_diameter_m:
             expected = "an end farther from start_m than outer_diameter_m"
             raise refusal(expected, got=self.end_m, key=("end_m",))
         if 2 * self.wall_m > self.outer_diameter_m:
             raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
         require_span(self.start_m, self.end_m)
-        return self
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer
 
 from cmbot.common.reading.fields import Slug, read_as, word_or
 from cmbot.common.reading.validation import FileModel, counted, refusal
@@ -132,11 +132,9 @@ class PathFile(FileModel):
     path's length, turns, bends, ramps, time and tolerances; beside `strokes` for all
     strokes without a number."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         self._check_path()
         self._check_times()
-        return self
 
     def _check_times(self, at: tuple[str | int, ...] = ()) -> None:
         """Every leg, or the whole path, has one time; ``seconds: auto`` is that of legs that have none."""
@@ -277,11 +275,9 @@ class StrokeFile(PathFile):
     part_of: Slug | None = None
     """In the scenes of plans the name of the stroke of which it is a part."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         # Its time may be that of all strokes.
         self._check_path()
-        return self
 
     @property
     def has_start(self) -> bool:
@@ -334,14 +330,13 @@ class ToolPathFile(PathFile):
     travels least between them, if the peak of the torque does not rise by that; each needs a start of its
     own. Where rasters are in so many parts that there are more than 12 strokes: as given."""
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.strokes is None:
             self._check_path()
             self._check_times()
             if self.order is not None:
                 raise refusal("no such key without strokes", got=self.order, key=("order",))
-            return self
+            return
         for name, field in PathFile.model_fields.items():
             if self.seconds == AUTO and name in ("seconds", *BOUNDS):
                 continue
@@ -373,7 +368,6 @@ class ToolPathFile(PathFile):
         object.__setattr__(self, "strokes", named)
         if self.order == "best":
             self._check_order(named)
-        return self
 
     def _completed(self, stroke: StrokeFile, number: int) -> StrokeFile:
         """A stroke with a name, so that messages, pages and files call it the same, and what is for all."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.toolpath import (
     Coverage,
@@ -43,7 +43,7 @@ _MOST_IDLE, _MOST_LOPSIDED = ((0.01, 0.14), (0.05, 0.19)), 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stroke:
+class Stroke(ShortRepr):
     """A path with the tool on.
 
     Attributes
@@ -70,8 +70,6 @@ class Stroke:
     via_points: int
     begins_elsewhere: bool
     surface: Surface | None = None
-
-    __repr__ = short_repr
 
     @cached_property
     def via_times(self) -> FloatArray:

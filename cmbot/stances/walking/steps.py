@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import (
     Certificate,
     FreeMove,
@@ -42,7 +42,7 @@ Kind = Literal["arm", "lift", "swing", "set"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Move:
+class Move(ShortRepr):
     """A part of a step.
 
     Attributes
@@ -68,11 +68,9 @@ class Move:
     arm: FloatArray
     segment: Segment
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class Step(ShortRepr):
     """A foot goes from one place to another.
 
     Attributes
@@ -88,8 +86,6 @@ class Step:
     before: Candidate
     after: Candidate
     moves: tuple[Move, ...]
-
-    __repr__ = short_repr
 
     @property
     def seconds(self) -> float:

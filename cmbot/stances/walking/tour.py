@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.common.errors import CmbotError, PlanningError
 from cmbot.common.reading.validation import counted
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import Plan
 from cmbot.scene import Scene
 from cmbot.stances import (
@@ -35,7 +35,7 @@ _Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tour:
+class Tour(ShortRepr):
     """Work and walks in their order.
 
     Attributes
@@ -56,8 +56,6 @@ class Tour:
     works: tuple[StanceResult, ...]
     walks: tuple[Walk, ...]
     failures: tuple[str, ...] = ()
-
-    __repr__ = short_repr
 
     @property
     def plans(self) -> tuple[Plan, ...]:

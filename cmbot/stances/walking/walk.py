@@ -14,7 +14,7 @@ from cmbot.common.errors import CmbotError, PathNotFound, PlanningError, SceneEr
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, validated
 from cmbot.common.reading.yaml_reader import read_yaml
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.hold import AdhesionPeak
 from cmbot.robot import other_foot
 from cmbot.scene import Scene, StanceFile, load_scene
@@ -50,7 +50,7 @@ class WalkOptions:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Walk:
+class Walk(ShortRepr):
     """A certified walk.
 
     Attributes
@@ -74,8 +74,6 @@ class Walk:
     last: Move | None
     failures: tuple[str, ...]
     speed: float
-
-    __repr__ = short_repr
 
     @property
     def moves(self) -> tuple[Move, ...]:

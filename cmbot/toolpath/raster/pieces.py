@@ -43,8 +43,7 @@ class RowPiece(CheckedFields):
     begin_m: _Along
     end_m: _Along
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.end_m - self.begin_m < SHORTEST_LEG:
             expected = f"more than begin_m, {self.begin_m:g}"
             raise InputError("RowPiece", "end_m", f"{self.end_m:g}", expected)

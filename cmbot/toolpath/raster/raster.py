@@ -22,7 +22,7 @@ from cmbot.common.reading.fields import (
     is_mesh_file,
 )
 from cmbot.common.reading.validation import CheckedFields, shown
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.toolpath.raster.pieces import MOST_ROWS, RowPiece
 
 # Cosine of the angle between two edges that are at right angles.
@@ -65,8 +65,7 @@ class CylinderPatch(CheckedFields):
     length: Length
     rows: Literal["along", "around"] = "along"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if not 0 < abs(self.to_deg - self.from_deg) <= 360:
             expected = f"another angle than from_deg {self.from_deg:g}, and at most 360 from it"
             raise InputError("CylinderPatch", "to_deg", f"{self.to_deg:g}", expected)
@@ -106,15 +105,14 @@ class FaceSelection(CheckedFields):
     within_deg: Annotated[float, Field(ge=0, le=80)] = 20.0
     box: tuple[Vector, Vector] | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         if self.box is not None and not (np.array(self.box[0]) < np.array(self.box[1])).all():
             expected = "smallest coordinates, then larger ones"
             raise InputError("FaceSelection", "box", shown(self.box), expected)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Raster(CheckedFields):
+class Raster(CheckedFields, ShortRepr):
     """Parallel rows, to and fro, with the tool square to a surface.
 
     That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row over faces lie
@@ -177,10 +175,7 @@ class Raster(CheckedFields):
     pieces: Annotated[tuple[RowPiece, ...] | None, Field(min_length=1, max_length=MOST_ROWS)] = None
     frame: Slug = "world"
 
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def _check(self) -> None:
         kinds = [
             (names, given)
             for names in (_RECTANGLE, ("cylinder",), _FACES)
