@@ -25,6 +25,7 @@ from cmbot.planning.initial_guess import Choice as Choice, searched as searched
 from cmbot.planning.job import (
     APPROACH as APPROACH,
     RETURN as RETURN,
+    BaselineSegment as BaselineSegment,
     Job as Job,
     Segment as Segment,
     free_move_name as free_move_name,
@@ -53,11 +54,7 @@ from cmbot.planning.request import (
     strokes_of as strokes_of,
     task_of as task_of,
 )
-from cmbot.planning.result.baseline import (
-    Baseline as Baseline,
-    BaselineSegment as BaselineSegment,
-    joined_samples as joined_samples,
-)
+from cmbot.planning.result.baseline import Baseline as Baseline, joined_samples as joined_samples
 from cmbot.planning.result.judgement import (
     baseline_faults as baseline_faults,
     bound_use as bound_use,

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.check import Check
-from cmbot.planning.certification.metrics import LimitUse, MotionMetrics
+from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples
 from cmbot.planning.task import ToolTask
 from cmbot.scene import StrokeFile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-T = TypeVar("T", bound="Timed")
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
 
@@ -31,7 +31,26 @@ def free_move_name(stroke: int) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment:
+class _Timed(ShortRepr):
+    """A part of a job, on its clock."""
+
+    name: str
+    kind: Literal["stroke", "free"]
+    begin: float
+
+    @property
+    @abstractmethod
+    def duration(self) -> float:
+        """Its duration, s."""
+
+    @property
+    def end(self) -> float:
+        """When it ends on the job's clock, s."""
+        return self.begin + self.duration
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment(_Timed):
     """A part of a job: a stroke with the tool on, or a free move with the tool off.
 
     Attributes
@@ -54,25 +73,15 @@ class Segment:
         The path of a free move leads along the self-motion, so that the tool stays about where it is.
     """
 
-    name: str
-    kind: Literal["stroke", "free"]
-    begin: float
     trajectory: QuinticTrajectory
     certificate: Certificate
     task: ToolTask
     along_self_motion: bool = False
 
-    __repr__ = short_repr
-
     @property
     def duration(self) -> float:
         """Its duration, s."""
         return self.trajectory.duration
-
-    @property
-    def end(self) -> float:
-        """When it ends on the job's clock, s."""
-        return self.begin + self.duration
 
     @property
     def in_words(self) -> str:
@@ -101,35 +110,35 @@ class Segment:
         return space.trajectory(space.least_jerk(self.trajectory.q))
 
 
-class Timed(Protocol):
-    """A part of a job with figures: a `Segment`, or one of the baseline."""
+@dataclass(frozen=True, kw_only=True)
+class BaselineSegment(_Timed):
+    """A part of the baseline's job, as of the planned one.
 
-    @property
-    def name(self) -> str:
-        """What it is called."""
+    Attributes
+    ----------
+    name : str
+    kind : str
+        ``stroke`` or ``free``.
+    begin : float, s
+        When it begins on the clock of the baseline's job.
+    samples : Samples
+        Its own clock begins at 0.
+    figures : MotionMetrics
+    """
 
-    @property
-    def kind(self) -> Literal["stroke", "free"]:
-        """Whether the tool is on."""
-
-    @property
-    def begin(self) -> float:
-        """When it begins on the job's clock, s."""
+    samples: Samples
+    figures: MotionMetrics
 
     @property
     def duration(self) -> float:
         """Its duration, s."""
-
-    @property
-    def end(self) -> float:
-        """When it ends on that clock, s."""
-
-    @property
-    def figures(self) -> MotionMetrics:
-        """Its figures."""
+        return float(self.samples.t[-1])
 
 
-class Timeline(Generic[T]):
+T = TypeVar("T", Segment, BaselineSegment)
+
+
+class Timeline(Generic[T], ShortRepr):
     """Segments one after the other, on one clock from 0."""
 
     segments: tuple[T, ...]
@@ -166,8 +175,6 @@ class Job(Timeline[Segment]):
     """
 
     segments: tuple[Segment, ...]
-
-    __repr__ = short_repr
 
     def changed(self, name: str, **changes: Any) -> Job:
         """Return the job with other fields of the segment of that name."""
@@ -234,12 +241,12 @@ class Job(Timeline[Segment]):
                 yield segment, replace(check, time=segment.begin + check.time)
 
 
-def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
+def job_metrics(segments: Iterable[Segment | BaselineSegment], begin: float = 0.0) -> MotionMetrics:
     """Return the figures of segments one after the other.
 
     Parameters
     ----------
-    segments : iterable of Timed
+    segments : iterable of Segment or BaselineSegment
         Where the tool is off, its place is no figure: of free moves alone those are 0.
     begin : float, s
         From which times are counted, on the job's clock.
@@ -270,7 +277,7 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
     )
 
 
-def _largest_adhesion(segments: Iterable[Timed], begin: float) -> AdhesionPeak | None:
+def _largest_adhesion(segments: Iterable[Segment | BaselineSegment], begin: float) -> AdhesionPeak | None:
     """The largest of segments, against tipping and a gap too; None where one is not known."""
     peaks = list[AdhesionPeak]()
     for segment in segments:

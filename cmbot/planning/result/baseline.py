@@ -11,50 +11,14 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.representation import short_repr
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.job import RETURN, Timeline, free_move_name, job_metrics
+from cmbot.planning.job import RETURN, BaselineSegment, Timeline, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
 from cmbot.trajectory import SAMPLE_STEP
-
-
-@dataclass(frozen=True, kw_only=True)
-class BaselineSegment:
-    """A part of the baseline's job, as of the planned one.
-
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``stroke`` or ``free``.
-    begin : float, s
-        When it begins on the clock of the baseline's job.
-    samples : Samples
-        Its own clock begins at 0.
-    figures : MotionMetrics
-    """
-
-    name: str
-    kind: Literal["stroke", "free"]
-    begin: float
-    samples: Samples
-    figures: MotionMetrics
-
-    __repr__ = short_repr
-
-    @property
-    def duration(self) -> float:
-        """Its duration, s."""
-        return float(self.samples.t[-1])
-
-    @property
-    def end(self) -> float:
-        """When it ends on the clock of the baseline's job, s."""
-        return self.begin + self.duration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +35,6 @@ class Baseline(StrokeBaseline, Timeline[BaselineSegment]):
     """
 
     segments: tuple[BaselineSegment, ...]
-
-    __repr__ = short_repr
 
     @cached_property
     def job_figures(self) -> MotionMetrics:

@@ -33,9 +33,9 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.job import APPROACH, Job, Segment
+from cmbot.planning.job import APPROACH, BaselineSegment, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
-from cmbot.planning.result.baseline import Baseline, BaselineSegment, baseline_of, joined_samples
+from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.stroke_plan import StrokePlan, baseline_task, combined
 from cmbot.planning.task import ToolTask
