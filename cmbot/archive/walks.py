@@ -16,7 +16,7 @@ from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, Entry, requir
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.reading.validation import FileModel, given_path, shown, validated
-from cmbot.common.representation import short_repr
+from cmbot.common.representation import ShortRepr
 from cmbot.planning import Plan
 from cmbot.robot import ARM_JOINTS, Climber, Side, other_foot
 from cmbot.scene import LIFT_M, Scene, StanceFile, foothold_pose
@@ -182,7 +182,7 @@ class _Reader:
         """
         trajectory, turn = move.segment.trajectory, -1 if move.holds == (2,) else 1
         times = np.linspace(trajectory.t[0], trajectory.t[-1], _SAMPLES)
-        poses = [self._foot_2(angles) for angles in trajectory.evaluate(times)[:, ::turn]]
+        poses = [self._climber.poses(angles)[0] for angles in trajectory.evaluate(times)[:, ::turn]]
         X = np.array(poses if turn == 1 else [np.linalg.inv(pose) for pose in poses])
         X = X if move.kind == "lift" else X[::-1]
         points = X[:, None, :3, 3] + np.einsum("kij,pj->kpi", X[:, :3, :3], _PLATE)
@@ -196,9 +196,6 @@ class _Reader:
         if np.abs(height[-1] - LIFT_M).max() > _ASIDE:
             got = f"a {move.kind} by {1e3 * height[-1, 0]:.1f} mm"
             raise self._error(key, got, f"{1e3 * LIFT_M:g} mm; what is beyond is a swing")
-
-    def _foot_2(self, angles: FloatArray) -> FloatArray:
-        return self._climber.poses(angles)[0]
 
     def move(self, file: _MoveFile, key: str, kind: Kind | None) -> Move:
         """A move from where the walk is, which goes on where it ends."""
@@ -235,7 +232,7 @@ _KEYS_OF_ONE_STANCE = ("name", "start", "tool_path")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TourPart:
+class TourPart(ShortRepr):
     """Work from a stance, or a walk to the next one.
 
     Attributes
@@ -250,8 +247,6 @@ class TourPart:
     name: str
     begin: float
     motion: Plan | Walk
-
-    __repr__ = short_repr
 
 
 class _PartFile(Entry):

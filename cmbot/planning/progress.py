@@ -6,13 +6,11 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from cmbot.common.errors import beyond
-from cmbot.common.representation import short_repr
-
-if TYPE_CHECKING:
-    from cmbot.optimization.exchange import ExchangeReport
+from cmbot.common.representation import ShortRepr
+from cmbot.optimization.exchange import ExchangeReport
 
 _STAGE_PHRASES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
 # A step's share is reported when it has risen by this.
@@ -23,7 +21,7 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress:
+class Progress(ShortRepr):
     """What the planner is doing.
 
     Attributes
@@ -51,8 +49,6 @@ class Progress:
     unit: str = "Nm"
     step: str = ""
     share: float | None = None
-
-    __repr__ = short_repr
 
     def sentence(self) -> str:
         """Return the stage in words, and after an exchange iteration its peak and violation."""

@@ -274,13 +274,7 @@ class Postures:
         """Evaluate postures `q` (N, n)."""
         centre = np.empty((q.shape[1], 3, len(q)))
         tool = self._evaluate(self._chain, q, centre)
-        centre = centre.transpose(2, 0, 1)
-        return PostureBatch(
-            **tool,
-            centre=centre,
-            mass=self._mass,
-            gravity=self._gravity,
-        )
+        return PostureBatch(**tool, centre=centre.transpose(2, 0, 1), mass=self._mass, gravity=self._gravity)
 
     def tool_at(self, q: FloatArray) -> ToolBatch:
         """Evaluate the tool alone in postures `q` (N, n), which is quicker."""

@@ -385,6 +385,8 @@ class CylinderCurve(Curve):
     radius: float
     orientation: FloatArray
 
+    turns = True
+
     @property
     def length(self) -> float:
         """Length, m: rolling keeps it."""
@@ -399,11 +401,6 @@ class CylinderCurve(Curve):
     def curvature(self) -> float:
         """Bound of the curvature, 1/m: that in the plane, and that of the cylinder square to it."""
         return float(np.hypot(self.plane.curvature, 1.0 / self.radius))
-
-    @property
-    def turns(self) -> bool:
-        """It does."""
-        return True
 
     def reversed(self) -> CylinderCurve:
         """Return the curve from its end to its start."""
@@ -459,15 +456,12 @@ class Line(Curve):
     start: FloatArray
     end: FloatArray
 
+    curvature = 0.0
+
     @property
     def length(self) -> float:
         """Length, m."""
         return float(np.linalg.norm(self.end - self.start))
-
-    @property
-    def curvature(self) -> float:
-        """None, 1/m."""
-        return 0.0
 
     def reversed(self) -> Line:
         """Return the line from its end to its start."""

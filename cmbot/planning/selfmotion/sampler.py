@@ -320,7 +320,7 @@ class SelfMotionSampler:
 
     def _take(self, some: _Postures, sets: PoissonDiskSets) -> _Postures:
         """Take postures that are far from others, and return them."""
-        some = self._on_circle(some)
+        some = _Postures(self._limits.turned_to_middle(some.q), some.of)
         return some[sets.take(some.q, some.of, _APART * self._steps(some.q))]
 
     def _steps(self, q: FloatArray) -> FloatArray:
@@ -338,9 +338,6 @@ class SelfMotionSampler:
     def _far(self, some: _Postures, sets: PoissonDiskSets, share: float = _APART) -> _Postures:
         """Those of some postures that are apart from their charts by that share of the spacing."""
         return some[sets.far(some.q, some.of, share * self._steps(some.q))]
-
-    def _on_circle(self, some: _Postures) -> _Postures:
-        return _Postures(self._limits.turned_to_middle(some.q), some.of)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -126,6 +127,7 @@ class HoldingTorque(_SignedTorque):
 class _OfTool:
     """A bound on the tool."""
 
+    components: ClassVar[int] = 1
     postures: Postures | BentTool
 
     def _tool(self, states: StateSamples) -> ToolBatch:
@@ -152,7 +154,6 @@ class ToolDeviation(_OfTask):
 
     name: str = "tool deviation"
     limit: Limit = Limit.TOOL_DEVIATION
-    components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
@@ -186,7 +187,7 @@ class ToolLag(_OfTask):
 
     name: str = "tool lag"
     limit: Limit = Limit.TOOL_LAG
-    components: int = 2
+    components: ClassVar[int] = 2
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return +lag/bound - 1 and -lag/bound - 1, (N, 2)."""
@@ -212,7 +213,6 @@ class ToolRotation(_OfTask):
 
     name: str = "tool rotation"
     limit: Limit = Limit.TOOL_ROTATION
-    components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return angle/bound - 1, (N, 1)."""
@@ -247,7 +247,6 @@ class ToolTilt(_OfTask):
 
     name: str = "tool tilt"
     limit: Limit = Limit.TOOL_TILT
-    components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return (chord/largest chord)^2 - 1, (N, 1)."""
@@ -291,7 +290,6 @@ class ToolSpeed(_OfTool):
     bound: float
     name: str = "tool speed"
     limit: Limit = Limit.TOOL_SPEED
-    components: int = 1
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return speed/bound - 1, (N, 1)."""
@@ -318,7 +316,7 @@ class ProcessSpeed(_OfTask):
 
     name: str = "process speed"
     limit: Limit = Limit.PROCESS_SPEED
-    components: int = 2
+    components: ClassVar[int] = 2
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return (speed/asked - 1)/bound - 1 and (1 - speed along the path/asked)/bound - 1, (N, 2)."""
