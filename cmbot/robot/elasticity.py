@@ -24,7 +24,7 @@ import pinocchio as pin
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
-from cmbot.common.reading.fields import Modulus, Thickness, require_span
+from cmbot.common.reading.fields import Modulus, Thickness, require_tube
 from cmbot.common.reading.validation import FileModel, refusal, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import ShortRepr
@@ -75,9 +75,7 @@ class LinkTube(ShortRepr):
     def _check(self) -> Self:
         if math.dist(self.start, self.end) < _MIN_LENGTH_M:
             raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
-        if 2 * self.wall > self.outer_diameter:
-            raise refusal("at most half of outer_diameter_m", got=self.wall, key=("wall_m",))
-        require_span(self.start, self.end)
+        require_tube(self.start, self.end, self.outer_diameter, self.wall)
         return self
 
 

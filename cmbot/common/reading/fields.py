@@ -111,8 +111,10 @@ def _in_metres(thickness: float) -> float:
     return thickness
 
 
-def require_span(start: Sequence[float], end: Sequence[float]) -> None:
-    """Refuse ends of a tube, ``start_m`` and ``end_m``, as far apart as if they were in millimetres."""
+def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, wall: float) -> None:
+    """Refuse a tube with a wall that it has no room for, or with ends as far apart as if in millimetres."""
+    if 2 * wall > diameter:
+        raise refusal("at most half of outer_diameter_m", got=wall, key=("wall_m",))
     if (length := math.dist(start, end)) > _LONGEST_TUBE_M:
         raise refusal(f"metres: millimetres? then {length / 1000:g}", got=f"{length:g} m", key=("end_m",))
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_span
+from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_tube
 from cmbot.common.reading.validation import FileModel, refusal
 from cmbot.elastic import beam_mass, beam_stiffness
 
@@ -52,9 +52,7 @@ class TubeFile(FileModel):
         if math.dist(self.start_m, self.end_m) < self.outer_diameter_m:
             expected = "an end farther from start_m than outer_diameter_m"
             raise refusal(expected, got=self.end_m, key=("end_m",))
-        if 2 * self.wall_m > self.outer_diameter_m:
-            raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
-        require_span(self.start_m, self.end_m)
+        require_tube(self.start_m, self.end_m, self.outer_diameter_m, self.wall_m)
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""
