@@ -54,6 +54,11 @@ class Sway:
         size = float(np.linalg.norm(self.tool[:, ~after], axis=2).max())
         return size, max(float(pdist(tool[after]).max()) for tool in self.tool)
 
+    def of_legs(self, times: FloatArray) -> FloatArray:
+        """Largest sway (L,), m, from each of L + 1 times to the next; after the last one the last leg's."""
+        size = np.linalg.norm(self.tool, axis=2).max(axis=0)
+        return np.maximum.reduceat(size, np.searchsorted(self.t, times[:-1]))
+
 
 def sway_along(
     arm: ElasticArm,
@@ -87,11 +92,9 @@ def sway_along(
     period = 1.0 / float(modes.frequencies[0])
     number = int(np.clip(np.ceil(duration / period * steps), 2 * count, _MAX_TIME_STEPS))
     t = np.linspace(0.0, duration, number + 1)
-    # By the implicit function theorem on the balance of springs and loads.
-    du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), motion(knots, 1))
+    du = np.einsum("kij,kj->ki", at.sag_slope, motion(knots, 1))
     still = QuinticTrajectory(t=knots, q=at.u, v=du, a=np.gradient(du, knots, axis=0))
     loads = _inertial_loads(arm, t, motion, still) + still.evaluate(t, 1) @ D.T
-    levers = _tool_levers(arm, q, at.u)
     place = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, count - 1)
     share = ((t - knots[place]) / (knots[place + 1] - knots[place]))[:, None, None]
     # Matrices of the middle of an interval hold for all of it.
@@ -100,7 +103,7 @@ def sway_along(
     for stiffness in K:
         require_bearing(stiffness, factors)
     w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]))
-    lever = (1 - share) * levers[place] + share * levers[place + 1]
+    lever = (1 - share) * at.lever[place] + share * at.lever[place + 1]
     return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
 
 
@@ -153,10 +156,3 @@ def _inertial_loads(
         moving = pin.rnea(arm.model, data, x[k], dx[k], ddx[k])[arm.elastic]
         loads[k] = moving - pin.computeGeneralizedGravity(arm.model, data, x[k])[arm.elastic]
     return np.asarray(loads + ddu @ arm.added_mass.T)
-
-
-def _tool_levers(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
-    """Jacobians (N, 3, f) of the bent arm's tool point by the elastic coordinates."""
-    data = arm.model.createData()
-    jacobians = [arm.tool_jacobian(configuration, data)[1] for configuration in arm.configuration(q, u)]
-    return np.array(jacobians)[:, :3, arm.elastic]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -30,6 +31,18 @@ class Linearised:
     stiffness: FloatArray  # (N, f, f), with the geometric stiffness of the loads: its symmetric part
     coupling: FloatArray  # (N, f, n): forces on the elastic coordinates by the joints' accelerations
     weight: FloatArray  # (N, f, n), derivative of the loads there with respect to the joint angles
+    lever: FloatArray  # (N, 3, f): displacement of the tool point by the elastic coordinates, in W
+
+    @cached_property
+    def sag_slope(self) -> FloatArray:
+        """Derivative (N, f, n) of the equilibria by the joint angles: the implicit function theorem."""
+        return np.asarray(-np.linalg.solve(self.stiffness, self.weight))
+
+    @property
+    def yielding(self) -> FloatArray:
+        """Displacement (N, 3, n) of the tool by the joints' accelerations, where these change slowly."""
+        forces = self.coupling + self.mass @ self.sag_slope
+        return np.asarray(-self.lever @ np.linalg.solve(self.stiffness, forces))
 
 
 def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
@@ -40,13 +53,14 @@ def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
     """
     u, tangent, weight = Sag(arm).equilibria(q)
     data = arm.model.createData()
-    mass = np.empty((len(q), arm.model.nv, arm.model.nv))
+    mass, lever = np.empty((len(q), arm.model.nv, arm.model.nv)), np.empty((len(q), 3, len(arm.elastic)))
     for k, configuration in enumerate(arm.configuration(q, u)):
         mass[k] = pin.crba(arm.model, data, configuration)
+        lever[k] = arm.tool_jacobian(configuration, data)[1][:3, arm.elastic]
     rows = (np.triu(mass) + np.triu(mass, 1).transpose(0, 2, 1))[:, arm.elastic]
     M, coupling = rows[:, :, arm.elastic] + arm.added_mass, rows[:, :, arm.driven]
     K = (tangent + tangent.transpose(0, 2, 1)) / 2
-    return Linearised(u=u, mass=M, stiffness=K, coupling=coupling, weight=weight)
+    return Linearised(u=u, mass=M, stiffness=K, coupling=coupling, weight=weight, lever=lever)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

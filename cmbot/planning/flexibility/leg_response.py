@@ -66,11 +66,11 @@ class LegResponse:
         shapes = [normal_modes(at.mass[k], at.stiffness[k]) for k in ends]
         self.omega = shapes[1][0][:_CARRIERS]
         V = np.linalg.qr(np.hstack([shape[:, :_CARRIERS] for _, shape in shapes]))[0]
-        du = -np.einsum("kij,kj->ki", np.linalg.solve(at.stiffness, at.weight), first)
+        du = np.einsum("kij,kj->ki", at.sag_slope, first)
         ddu = np.gradient(du, shares, axis=0)
         data = arm.model.createData()
         x, dx, ddx = (arm.configuration(*both) for both in ((posture, at.u), (first, du), (second, ddu)))
-        speeding, turning, levers = [], [], []
+        speeding, turning = [], []
         for k in range(len(shares)):
             still = pin.computeGeneralizedGravity(arm.model, data, x[k])[arm.elastic].copy()
             moving = [
@@ -79,9 +79,8 @@ class LegResponse:
             ]
             speeding.append(moving[0] + arm.added_mass @ du[k])
             turning.append(moving[1] + arm.added_mass @ ddu[k])
-            levers.append(arm.tool_jacobian(x[k], data)[1][:3, arm.elastic])
         self._loads = np.array(speeding) @ V, np.array(turning) @ V
-        self._levers = np.array(levers) @ V
+        self._levers = at.lever @ V
         self._mass, self._stiffness = (V.T @ each @ V for each in (at.mass, at.stiffness))
         self._springs, self._damping = V.T @ arm.stiffness @ V, arm.robot.damping_ratio
 

@@ -39,9 +39,10 @@ class ElasticPath:
         new = [k for k, time in enumerate(times) if time not in self._known]
         if new:
             at = linearised(self.arm, q[new])
-            sag_slope = -np.linalg.solve(at.stiffness, at.weight)
             gyroscopic = _gyroscopic(self.arm, q[new], at.u, v[new])
-            rows = zip(at.u, at.mass, at.stiffness, at.coupling, gyroscopic, sag_slope, strict=True)
+            rows = zip(
+                at.u, at.mass, at.stiffness, at.coupling, gyroscopic, at.sag_slope, at.lever, strict=True
+            )
             self._known.update(zip(times[new], rows, strict=True))
         stacked = zip(*(self._known[time] for time in times), strict=True)
         return _Matrices(self.arm, q, *(np.stack(each) for each in stacked))
@@ -58,7 +59,8 @@ class _Matrices:
     stiffness: FloatArray
     coupling: FloatArray
     gyroscopic: FloatArray  # (g, f, f): forces by the elastic coordinates' rates, while the joints move
-    sag_slope: FloatArray  # (g, f, n): derivative of the equilibria by the joint angles
+    sag_slope: FloatArray  # (g, f, n)
+    lever: FloatArray  # (g, 3, f)
 
 
 class LegVibration:
@@ -134,8 +136,7 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> _Carried:
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
     D = V.T @ at.gyroscopic @ V + (2 * at.arm.robot.damping_ratio / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
-    _, J = at.arm.tool_jacobian(at.arm.configuration(at.q[-1], at.u[-1]), at.arm.model.createData())
-    to_tool = np.linalg.norm(J[:3, at.arm.elastic] @ V @ X, axis=1)
+    to_tool = np.linalg.norm(at.lever[-1] @ V @ X, axis=1)
     M = np.broadcast_to(M, (len(factors), *M.shape))
     return _Carried(M, D, K, np.linalg.solve(K, forces), M[:, -1] @ X, omega, to_tool)
 
