@@ -7,6 +7,8 @@ guess. With p the least peak,
 
     f(t) <= p (1 + epsilon) at all times
 
+with, for a quiet stroke whose base bends, (1/2) sigma mean_t |Y(t) q''(t)|^2 beside the mean of f^2: the sway
+where accelerations change slowly, Y in the postures of the guess, in units of its root mean square there;
 subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance. epsilon is the option
 `peak_tolerance` where p is its lower bound, and `least_peak_tolerance` where that is missed.
 """
@@ -14,12 +16,14 @@ subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.limit import Limit
+from cmbot.elastic.modes import linearised
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque.constraints import (
@@ -51,6 +55,9 @@ _CLEARANCE_MARGIN_M = 1e-5 + RESOLUTION
 _ORDINARY_JERK_RATIO = 20.0
 # Gauss points per segment at which the mean square of the torque is taken.
 _MEAN_SAMPLES = 3
+# Weight of the mean square of a quiet stroke's sway beside that of the objective, and a root mean square, m,
+# below which it matters less.
+_SWAY_WEIGHT, _STILL_M = 0.005, 1e-5
 
 
 class TorqueProblem:
@@ -124,9 +131,29 @@ class TorqueProblem:
         return self.parametrization.space
 
     def mean_residuals(self, trajectory: QuinticTrajectory) -> tuple[Linearization, ...]:
-        """Return weighted parts of the objective at `mean_times`: their squares sum to its mean square."""
-        parts = self.request.objective.residuals(StateSamples.along(trajectory, self.mean_times))
-        return tuple(part.scaled(self._root_weights) for part in parts)
+        """Return weighted parts of the objective at `mean_times`, and of the sway.
+
+        Their squares sum to the objective's mean square, and to the sway's times its weight.
+        """
+        states = StateSamples.along(trajectory, self.mean_times)
+        parts, still = self.request.objective.residuals(states), np.zeros_like(states.q)
+        sway = (Linearization(np.einsum("ki,ki->k", Y, states.a), still, still, Y) for Y in self._sway_rows)
+        return (*(part.scaled(self._root_weights) for part in parts), *sway)
+
+    @cached_property
+    def _sway_rows(self) -> FloatArray:
+        """Weighted derivatives of the sway along x, y and z by the accelerations, (3, G, n)."""
+        form, cell = self.parametrization, self.request.cell
+        if cell.arm is None or self.request.stroke.file.speed_profile.kind != "quiet":
+            return np.empty((0, 0, 0))
+        at = linearised(cell.arm, form.via_points).yielding
+        place = np.searchsorted(self.space.t, self.mean_times) - 1
+        share = (self.mean_times - self.space.t[place]) / np.diff(self.space.t)[place]
+        rows = at[place] + share[:, None, None] * (at[place + 1] - at[place])
+        rows *= (self.scale * self._root_weights)[:, None, None]
+        sway = np.einsum("kij,kj->ki", rows, form.trajectory.evaluate(self.mean_times, 2))
+        unit = max(float(np.linalg.norm(sway)), _STILL_M)
+        return np.asarray(np.sqrt(_SWAY_WEIGHT) / unit * rows.transpose(1, 0, 2))
 
     def segment(self, first: int, last: int) -> TorqueProblem:
         """Return the problem between two via-points: at ends inside the path the arm rests, and stays."""

@@ -11,7 +11,9 @@ from small_scenes import SHORT
 
 from cmbot import Plan, load_scene, plan
 from cmbot.accuracy import sway_along
+from cmbot.accuracy.sway import Sway
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.modes import linearised
 from cmbot.planning import bending_arm
 from cmbot.planning.flexibility.leg_response import LegResponse
 from cmbot.robot import load_robot
@@ -49,6 +51,34 @@ def test_the_sway_of_a_law_is_that_of_the_whole_model(kind: str) -> None:
     whole = sway_along(arm, motion, SECONDS, 0.01, factors)
     found = LegResponse(arm, q).of([by_share(law)], SECONDS, factors)
     np.testing.assert_allclose(found.sway[0], np.linalg.norm(whole.tool, axis=2).max(axis=1), rtol=0.1)
+
+
+def test_what_accelerations_bend_slowly_is_the_sway_of_the_whole_model() -> None:
+    """Of a small motion over many periods, hardly damped: damping resists the rate of the sag, too."""
+    arm = bending_arm(load_scene("triangle"), load_robot("cmbot"))
+    assert arm is not None
+    begin, way = np.array(load_scene("triangle").posture), 1e-3 * np.array([3, -2, 2, 1, 3, -1, 2])
+    law, seconds = SpeedProfile(kind="quiet", ramp=0.5).law, 40.0
+
+    def motion(t: FloatArray, order: int) -> FloatArray:
+        if order == 0:
+            return begin + law.share(t / seconds)[:, None] * way
+        return (law.rate(t / seconds, order) / seconds**order)[:, None] * way
+
+    sway = sway_along(arm, motion, seconds, 1e-4)
+    rows = linearised(arm, motion(sway.t, 0)).yielding
+    slow = np.einsum("kij,kj->ki", rows, motion(sway.t, 2))
+    assert np.abs(slow).max() > 1e-8
+    np.testing.assert_allclose(sway.tool[0], slow, atol=0.02 * np.abs(slow).max())
+
+
+def test_the_sway_of_each_leg_is_its_largest() -> None:
+    t = np.linspace(0.0, 4.0, 81)
+    tool = np.zeros((2, 81, 3))
+    tool[0, t.searchsorted(0.5), 1], tool[1, t.searchsorted(1.5), 0] = -3.0, 2.0
+    tool[1, t.searchsorted(3.9)] = 2.0, 1.0, -2.0
+    # The last leg ends before the tool rests.
+    np.testing.assert_allclose(Sway(t=t, tool=tool).of_legs(np.array([0.0, 1.0, 2.0, 3.0])), [3.0, 2.0, 3.0])
 
 
 def test_a_shaper_lessens_the_swing_that_is_predicted() -> None:

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from finite_differences import check_derivative
 from quadrature import gauss_points
-from small_scenes import problem_of, torque_along, torque_problem
+from small_scenes import problem_of, short_scene, torque_along, torque_problem
 from urdf_arms import endless_scene
 
 from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.modes import linearised
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.linearization import linearize
 from cmbot.optimization.separation import find_violations
@@ -70,6 +71,31 @@ def test_residuals_square_to_the_mean(
     rows = form.splines.rows(problem.mean_times)
     gradient = sum(2 * form.pullback(rows, part.value[:, None] * part.derivatives) for part in residuals)
     check_derivative(value, np.zeros(form.dimension), form.map.T @ gradient, rtol=1e-6, atol=1e-10)
+
+
+def test_the_sway_of_a_quiet_stroke_counts_beside_the_torque(rng: np.random.Generator) -> None:
+    """A two-hundredth of its mean square, in units of that of the guess; of other strokes nothing."""
+    kinds = ("quiet", "jerk_limited")
+    problem, other = (problem_of(short_scene(tool_path={"speed_profile": {"kind": kind}})) for kind in kinds)
+    form, arm = problem.parametrization, problem.request.cell.arm
+    assert arm is not None and len(other.mean_residuals(other.parametrization.trajectory)) == 3
+
+    def mean_squares(moved: Parametrization) -> tuple[float, float]:
+        parts = [part.value @ part.value for part in problem.mean_residuals(moved.trajectory)]
+        return sum(parts[:3]), sum(parts[3:])
+
+    assert mean_squares(form)[1] == pytest.approx(0.005)
+    # Of the guess's postures, as only the accelerations count.
+    moved = form.step(1e-3 * rng.normal(size=form.dimension))
+    times, share = gauss_points(problem.space.t, 3)
+    rows = linearised(arm, form.trajectory.evaluate(times)).yielding
+    before, after = (
+        share @ (np.einsum("kij,kj->ki", rows, each.trajectory.evaluate(times, 2)) ** 2).sum(axis=1)
+        for each in (form, moved)
+    )
+    assert mean_squares(moved)[1] == pytest.approx(0.005 * after / before, rel=0.02)
+    torque = share @ torque_along(problem, moved.trajectory, times) ** 2
+    assert mean_squares(moved)[0] == pytest.approx(torque, rel=1e-9)
 
 
 @pytest.mark.parametrize("order", range(4))
