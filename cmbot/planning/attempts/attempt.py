@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, attempted, failure_of
@@ -21,9 +23,10 @@ from cmbot.planning.initial_guess import (
 )
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.selfmotion.global_search import GlobalSearch
-from cmbot.planning.timing.timing import Timing
+from cmbot.planning.timing.timing import Timing, is_coarse
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.planning.workcell.objectives import TRAVEL
+from cmbot.toolpath import LegLaw
 
 if TYPE_CHECKING:
     # It loads SciPy's splines.
@@ -103,7 +106,15 @@ class Attempt:
             optimised = attempted(request, lambda: optimise(guess.problem))
             if isinstance(optimised, Optimised):
                 unshaped = optimised.trajectory
-        laws, more_time = quiet_laws(request, unshaped)
+
+        def simulated(laws: tuple[LegLaw, ...]) -> FloatArray:
+            timed = self.in_timing(Timing.along(request, unshaped, (), laws))
+            if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
+                return np.full(len(request.task.path.segments), np.inf)
+            times = timed.request.task.path.leg_times
+            return request.cell.sway_of_legs(timed.guess.problem.parametrization.trajectory, times)
+
+        laws, more_time = quiet_laws(request, unshaped, simulated if is_coarse(request) else None)
         own = replace(self, more_time=more_time)
         if not laws:
             return own

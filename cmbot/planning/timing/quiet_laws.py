@@ -81,6 +81,20 @@ class _Candidate:
         """The law, made when it is asked for."""
         return self.made()
 
+    @property
+    def is_flattest(self) -> bool:
+        """Whether it is one of least acceleration, without a shaper."""
+        return self.kind[1:] == (_FLAT_SHARES[-1], 0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Choice:
+    """The best candidate of a leg, those that fit it, and the angular frequencies (k,), rad/s, there."""
+
+    best: _Candidate
+    fitting: list[_Candidate]
+    omega: FloatArray
+
 
 @dataclass(frozen=True, kw_only=True)
 class MoreTime:
@@ -105,7 +119,9 @@ class MoreTime:
 
 
 def quiet_laws(
-    request: StrokeRequest, trajectory: QuinticTrajectory
+    request: StrokeRequest,
+    trajectory: QuinticTrajectory,
+    simulated: Callable[[tuple[LegLaw, ...]], FloatArray] | None = None,
 ) -> tuple[tuple[LegLaw, ...], MoreTime | None]:
     """Return the laws of a stroke's legs but those that have a process speed between leads, or stay.
 
@@ -118,33 +134,45 @@ def quiet_laws(
         Its profile is ``quiet``.
     trajectory : QuinticTrajectory
         A motion along the stroke by the laws of the scene.
+    simulated : callable, optional
+        Where splines are too coarse for the laws: from laws to the largest sway (L,), m, of the legs by the
+        splines through their via-points. By that laws without a shaper are preferred to those predicted.
     """
     path, arm = request.task.path, request.cell.arm
     segments = path.segments
     moving = [k for k, leg in enumerate(segments) if _moves(leg) and leg.process is None]
     if not moving:
         return (), None
+    chosen, longer = dict[int, _Choice](), list[MoreTime]()
     places = np.unique(np.linspace(0, len(moving) - 1, min(len(moving), _MAX_LEGS)).round().astype(int))
-    chosen, longer = dict[int, tuple[_Candidate, FloatArray]](), list[MoreTime]()
     for number in (moving[k] for k in places):
         begin, end = path.leg_times[number : number + 2].tolist()
         law = segments[number].law
         motion = _Leg(number=number, trajectory=trajectory, begin=begin, seconds=end - begin, law=law)
         response = None if arm is None else LegResponse(arm, motion.q)
         omega = np.empty(0) if response is None else response.omega
-        best, sway = _best(request, motion, response, list(_candidates(request, number, omega)))
-        chosen[number] = best, omega
+        chosen[number], sway = _chosen(request, motion, response, list(_candidates(request, number, omega)))
         if response is not None:
-            longer += _more_time(request, motion, response, best, sway)
-    more_time = max(longer, key=lambda each: each.sway, default=None)
-    if all(best.law is segments[leg].law for leg, (best, _) in chosen.items()):
-        return (), more_time
-    laws = []
-    for leg in moving:
-        best, omega = chosen[min(chosen, key=partial(_unlikeness, segments, leg))]
-        law = best.law if leg in chosen else _alike(best, _candidates(request, leg, omega))
-        laws.append(LegLaw.of(leg, law, segments[leg].seconds))
-    return tuple(laws), more_time
+            longer += _more_time(request, motion, response, chosen[number].best, sway)
+
+    def laws_of(kind: tuple[float, float, int] | None = None) -> Iterator[TimeLaw]:
+        for leg in moving:
+            choice = chosen[min(chosen, key=partial(_unlikeness, segments, leg))]
+            best = next((each for each in choice.fitting if each.kind == kind), choice.best)
+            yield best.law if leg in chosen else _alike(best, _candidates(request, leg, choice.omega))
+
+    def recorded(laws: Sequence[TimeLaw]) -> tuple[LegLaw, ...]:
+        pairs = zip(moving, laws, strict=True)
+        return tuple(LegLaw.of(leg, law, segments[leg].seconds) for leg, law in pairs)
+
+    laws = list(laws_of())
+    if simulated is not None:
+        kinds = {each.kind for choice in chosen.values() for each in choice.fitting if each.is_flattest}
+        options = [laws, *(list(laws_of(kind)) for kind in sorted(kinds))]
+        sways = np.array([simulated(recorded(each))[moving] for each in options])
+        laws = [options[k][place] for place, k in enumerate(sways.argmin(axis=0).tolist())]
+    own = all(law is segments[leg].law for leg, law in zip(moving, laws, strict=True))
+    return () if own else recorded(laws), max(longer, key=lambda each: each.sway, default=None)
 
 
 def _more_time(
@@ -272,18 +300,20 @@ def _shaped(ramp: float, flat: float, shaper: Shaper | None, seconds: float) -> 
     return law if shaper is None else law.shaped(shaper, seconds)
 
 
-def _best(
+def _chosen(
     request: StrokeRequest, leg: _Leg, response: LegResponse | None, candidates: list[_Candidate]
-) -> tuple[_Candidate, float]:
+) -> tuple[_Choice, float]:
     """The candidate of least sway and swing within the joints' bounds, and both together, m."""
     when = leg.when([candidate.law for candidate in candidates])
     use = np.array([_use(request, leg, *pair) for pair in zip(candidates, when, strict=True)])
     allowed = max(_MAX_JOINT_USE, _MAX_USE_RATIO * use.min())
-    fitting = np.flatnonzero(use <= allowed).tolist()
+    places = np.flatnonzero(use <= allowed).tolist()
+    fitting = [candidates[k] for k in places]
     if response is None:
-        return candidates[fitting[0]], 0.0
-    merit = _merit(request, response, [when[k] for k in fitting], leg.seconds)
-    return candidates[fitting[int(merit.argmin())]], float(merit.min())
+        return _Choice(best=fitting[0], fitting=fitting, omega=np.empty(0)), 0.0
+    merit = _merit(request, response, [when[k] for k in places], leg.seconds)
+    best = fitting[int(merit.argmin())]
+    return _Choice(best=best, fitting=fitting, omega=response.omega), float(merit.min())
 
 
 def _merit(

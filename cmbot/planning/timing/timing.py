@@ -110,11 +110,21 @@ def with_enough_via_points(request: StrokeRequest) -> StrokeRequest:
     is_chosen = file.speed_profile.kind == "quiet" and not (file.time_laws or path.open_legs or is_fixed)
     if not is_chosen or (frequency := request.cell.lowest_frequency(request.first)) is None:
         return request
-    number = 1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * path.duration))
+    number = _enough(request, frequency)
     shortest = min((leg.seconds for leg in path.segments if leg.curve.length > 0), default=np.inf)
     if number > 2 * _MOST_FOR_PERIODS and shortest * frequency > _SHORT_LEG_PERIODS:
         return request
     return replace(request, times=path.via_times(max(min(number, _MOST_FOR_PERIODS), len(request.times))))
+
+
+def is_coarse(request: StrokeRequest) -> bool:
+    """Return whether a stroke that bends something has too few via-points for splines to follow its laws."""
+    frequency = request.cell.lowest_frequency(request.first)
+    return frequency is not None and len(request.times) < _enough(request, frequency)
+
+
+def _enough(request: StrokeRequest, frequency: float) -> int:
+    return 1 + int(np.ceil(_VIA_POINTS_PER_PERIOD * frequency * request.task.path.duration))
 
 
 def in_time(request: StrokeRequest, laws: Sequence[LegLaw]) -> StrokeRequest:

@@ -127,6 +127,12 @@ class Workcell(ShortRepr):
         share = self.options.quiet_stiffness_share
         return (0.0, 0.0) if self.arm is None else stroke_sway(self.arm, trajectory, share).largest
 
+    def sway_of_legs(self, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
+        """Return the largest sway (L,), m, on legs that begin or end at L + 1 times, s; errors as above."""
+        share = self.options.quiet_stiffness_share
+        legs = np.zeros(len(times) - 1)
+        return legs if self.arm is None else stroke_sway(self.arm, trajectory, share).of_legs(times)
+
     def lowest_frequency(self, q: FloatArray) -> float | None:
         """Return the lowest natural frequency, Hz, in posture `q` (n,); None where nothing bends.
 

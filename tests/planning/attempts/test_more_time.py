@@ -1,17 +1,25 @@
 """What more seconds would give on short legs: told where it is much, and true."""
 
+import json
 import re
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from quiet import quiet_scene
 
 from cmbot import OptimisationFailed, Plan, load_scene, plan
 from cmbot.elastic.modes import arm_modes
 from cmbot.planning import bending_arm
 from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.request import build_request
+from cmbot.planning.timing.quiet_laws import quiet_laws
+from cmbot.planning.timing.timing import is_coarse
+from cmbot.toolpath import LegLaw
 
 SOFT = (2e4, 2e4, 1e5, 4e3, 4e3, 4e3)
 
@@ -65,6 +73,41 @@ def test_quiet_strokes_have_as_many_via_points_as_their_law_needs() -> None:
     for stiffness, expected in ((50.0, 100), (400.0, 8)):
         made = planned(1.2, stiffness=stiffness, via_points=8, knots="sliding")
         assert len(made.trajectory.t) == expected
+
+
+def test_where_via_points_are_few_the_laws_of_each_leg_are_those_that_sway_least_as_simulated() -> None:
+    data = mast(1.2, stiffness=400.0, via_points=8)
+    data["tool_path"]["legs"] = [{"by": [0, way, 0], "seconds": 1.2} for way in (0.1, -0.1)]
+    scene = load_scene(data)
+    request = build_request(scene, scene.planner, None)
+    assert is_coarse(request) and not is_coarse(replace(request, times=request.task.path.via_times(2000)))
+    guess = Attempt.of(request).guess
+    assert isinstance(guess, InitialGuess)
+    tried: list[tuple[LegLaw, ...]] = []
+
+    def simulated(laws: tuple[LegLaw, ...]) -> Any:
+        tried.append(laws)
+        return np.array([abs(len(tried) - 3), abs(len(tried) - 1)], dtype=float)
+
+    laws, _ = quiet_laws(request, guess.problem.parametrization.trajectory, simulated)
+    # Those predicted, then ever longer ramps.
+    assert len(tried) > 3 and all(len(each) == 2 for each in tried)
+    accelerations = [np.abs(each[0].law.rate(np.linspace(0, 1, 999), 2)).max() for each in tried[1:]]
+    assert (np.diff(accelerations) <= 0).all() and accelerations[-1] < 0.8 * accelerations[0]
+    for law, expected in zip(laws, (tried[2][0], tried[0][1]), strict=True):
+        np.testing.assert_array_equal(law.jerk, expected.jerk)
+
+
+def test_few_via_points_sway_less_by_laws_along_their_splines(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "scene.json"
+    data = quiet_scene(65223595, 1, str(tmp_path))
+    data["tool_path"]["speed_profile"] = {"kind": "quiet"}
+    file.write_text(json.dumps(data), encoding="utf-8")
+    by_splines = plan(load_scene(file), progress=False)
+    monkeypatch.setattr("cmbot.planning.attempts.attempt.is_coarse", lambda request: False)
+    assert moved(by_splines) < 0.95 * moved(plan(load_scene(file), progress=False))
 
 
 def test_where_no_path_is_optimised_laws_are_chosen_along_the_guess(monkeypatch: pytest.MonkeyPatch) -> None:
