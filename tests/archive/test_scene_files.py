@@ -54,6 +54,8 @@ def foreign_plan(thin_plan: Plan, foreign_files: Path) -> Plan:
             "rpy_deg": np.degrees(pin.rpy.matrixToRpy(X_WB.rotation)).tolist(),
         },
     }
+    # With the laws of the motion.
+    data["tool_path"] = thin_plan.scene.as_data()["tool_path"]
     data["obstacles"].append({"name": "rock", "mesh": "rock.obj", "xyz": [0, 0, 0]})
     (foreign_files / "scene.yaml").write_text(json.dumps(data))
     scene = load_scene(foreign_files / "scene.yaml")
