@@ -133,7 +133,7 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     --------
     >>> read = cmbot.load_tracking(plan, "out/triangle")
     >>> f"{1e3 * read.planned.largest_off_path:.1f} mm off its path, bent"
-    '0.4 mm off its path, bent'
+    '0.2 mm off its path, bent'
     """
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")

@@ -222,7 +222,7 @@ def simulate(
     --------
     >>> tracking = cmbot.simulate(plan, progress=False)
     >>> f"{1e3 * tracking.planned.largest_off_path:.1f} mm off its path, bent"
-    '0.4 mm off its path, bent'
+    '0.2 mm off its path, bent'
     """
     require_plan(plan, "cmbot.simulate")
     options = SimulationOptions() if options is None else options
