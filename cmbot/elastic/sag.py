@@ -18,10 +18,9 @@ from cmbot.robot import Kinematics
 
 # Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
 # the step's square.
-_MAX_NEWTON_STEPS = 30
-_NEWTON_TOLERANCE = 1e-8
-# Iterations at most with the stiffness of another posture.
-_MAX_FIXED_STIFFNESS_STEPS = 12
+_MAX_NEWTON_STEPS, _NEWTON_TOLERANCE = 30, 1e-7
+# Of iterations with the stiffness of another posture: the remaining error is a share of the step.
+_MAX_FIXED_STIFFNESS_STEPS, _FIXED_STIFFNESS_TOLERANCE = 15, 1e-11
 # Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
 _MAX_POSTURE_INTERVAL_S = 0.02
 # Below this length, m, the gradient of a length is taken as zero.
@@ -142,7 +141,7 @@ class Sag:
                     loads[k] = torque[arm.elastic]
                 step = (chord @ ((arm.stiffness @ u[left, :, None])[:, :, 0] + loads)[:, :, None])[:, :, 0]
                 u[left] -= step
-                left = left[~(np.abs(step).max(axis=1) < _NEWTON_TOLERANCE)]
+                left = left[~(np.abs(step).max(axis=1) < _FIXED_STIFFNESS_TOLERANCE)]
                 if not len(left):
                     break
             u[left] = 0.0

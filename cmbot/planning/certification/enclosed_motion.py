@@ -61,7 +61,7 @@ class EnclosedMotion:
         self._goal_remainder, self._goal_rotation = timed_pose_bounds(task.path, self._pieces)
         self._unknown = np.zeros(len(self._pieces.start))
         if sag is not None:
-            bent = sag.at(q).tool
+            bent = sag.following(q)
             self._p_WT = self._p_WT + bent
             self._unknown = self._pieces.estimated_remainder(bent)
 
@@ -242,7 +242,7 @@ class EnclosedMotion:
         q = trajectory.evaluate(np.clip(times, trajectory.t[0], trajectory.t[-1]))
         p_WT, R_WT = Kinematics(self._robot).tool_poses(q)
         if self._sag is not None:
-            p_WT = p_WT + self._sag.at(q).tool
+            p_WT = p_WT + self._sag.following(q)
         goals = task.path.poses(times)
         away = np.linalg.norm(p_WT - goals.point, axis=1)
         return (times, np.asarray(away)), (times, task.rotation(R_WT, goals))
