@@ -179,7 +179,8 @@ def _timed_as(plan: Plan, scene: Scene) -> Scene:
     ------
     InputError
     """
-    arms = [robot_of(scene), plan.robot]
+    # An arm by the same files needs no loading to be compared.
+    arms = [plan.robot if scene.robot == plan.scene.robot else robot_of(scene), plan.robot]
     joints, before = ((arm.joints, tuple(arm.limits.velocity)) for arm in arms)
     files, earlier = ({stroke.name: stroke for stroke in each.strokes} for each in (scene, plan.scene))
     for key, got, expected in (("robot", joints, before), ("tool_path", set(files), set(earlier))):
