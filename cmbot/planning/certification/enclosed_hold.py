@@ -29,7 +29,7 @@ class EnclosedHold:
     wrench : (K (d + 1), 6), N and Nm
         Of the moving arm on the guardrail, about O0 in W, at the Chebyshev points.
     resolution : float
-        How far bounds may lie above what was found, as a share of the largest value.
+        How far bounds may lie above what was found, as a share of the largest value of all feet.
     """
 
     holding: Holding
@@ -41,12 +41,13 @@ class EnclosedHold:
     @cached_property
     def _adhesion(self) -> dict[int, Peak]:
         """Of each foot that holds by adhesion, by its number, the adhesion that it needs, N."""
-        holding, peaks = self.holding, dict[int, Peak]()
-        for number in holding.adhesive:
-            between = partial(holding.needed_between, number)
-            beyond = np.where(self._bounded, 0.0, np.inf)
-            peaks[number] = self._enclosed(partial(holding.needed, number), beyond, between)
-        return peaks
+        holding, beyond = self.holding, np.where(self._bounded, 0.0, np.inf)
+        needed = {number: partial(holding.needed, number) for number in holding.adhesive}
+        size = max(map(self._size, needed.values()), default=0.0)
+        return {
+            number: self._enclosed(each, size, beyond, partial(holding.needed_between, number))
+            for number, each in needed.items()
+        }
 
     @property
     def needed(self) -> AdhesionPeak | None:
@@ -80,7 +81,8 @@ class EnclosedHold:
                 )
             if foot.force is not None:
                 remainder = self.holding.use_remainder(number, *self._remainders)
-                peak = self._enclosed(partial(self.holding.use, number), remainder)
+                use = partial(self.holding.use, number)
+                peak = self._enclosed(use, self._size(use), remainder)
                 yield Check(
                     quantity=self.holding.named(CLAMP_LOAD, number),
                     time=peak.time,
@@ -105,9 +107,14 @@ class EnclosedHold:
         """The wrench (6,) at a Chebyshev point near a time: where the peak is, up to the resolution."""
         return np.asarray(self.wrench[int(np.abs(self.pieces.times.ravel() - time).argmin())])
 
+    def _size(self, function: Callable[[FloatArray], FloatArray]) -> float:
+        """How large a function of wrenches (N, 6) is, from one for each piece."""
+        return float(np.abs(function(self.wrench[:: len(self.wrench) // len(self.pieces.start)])).max())
+
     def _enclosed(
         self,
         function: Callable[[FloatArray], FloatArray],
+        size: float,
         remainder: FloatArray,
         between: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
     ) -> Peak:
@@ -124,7 +131,5 @@ class EnclosedHold:
             found = between(np.swapaxes(points, 1, 2), *(part[piece] for part in off))
             return np.repeat(found[:, None], points.shape[2], axis=1)
 
-        size = np.abs(function(self.wrench[:: len(self.wrench) // len(self.pieces.start)])).max()
-        resolution = self.resolution * float(size)
         control = self.pieces.control_points(self.wrench)
-        return highest(self.pieces, control, bounds, remainder, resolution, values)
+        return highest(self.pieces, control, bounds, remainder, self.resolution * size, values)
