@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray, read_only
 from cmbot.robot import Robot
 
 # Between two postures of a line that are checked no point of the arm moves further than this, m.
@@ -74,14 +75,14 @@ class FreeSpace:
     def straight(self, start: FloatArray, end: FloatArray) -> bool:
         """Whether the postures checked on the line between two postures (n,) are free."""
         postures = self._along(start[None], end[None], _CHECK_DISTANCE_M)[0]
+        # What costs least to find out comes first.
+        if not (self.robot.limits.contain(postures).all() and (self.cost(postures) <= self.bound).all()):
+            return False
         # Scattered over the line first: what is in the way is found by few of them.
-        scattered = _scattered(len(postures))
+        postures = postures[_scattered(len(postures))]
         first, number, least = 0, _FIRST_BLOCK, self.margin + self.spare
         while first < len(postures):
-            block = postures[scattered[first : first + number]]
-            # What costs least to find out comes first.
-            within = self.robot.limits.contain(block).all() and (self.cost(block) <= self.bound).all()
-            if not within or (self.clearances.query(block, least).distance < least).any():
+            if (self.clearances.query(postures[first : first + number], least).distance < least).any():
                 return False
             first, number = first + number, number * _BLOCK_GROWTH
         return True
@@ -123,6 +124,7 @@ class FreeSpace:
         return path[left]
 
 
+@cache
 def _scattered(number: int) -> IntArray:
     """Indices 0 to `number` - 1, in an order in which the first ones are spread evenly: bits reversed."""
     bits = max((number - 1).bit_length(), 1)
@@ -130,4 +132,4 @@ def _scattered(number: int) -> IntArray:
     reversed_bits = np.zeros_like(indices)
     for bit in range(bits):
         reversed_bits |= ((indices >> bit) & 1) << (bits - 1 - bit)
-    return np.asarray(reversed_bits[reversed_bits < number])
+    return read_only(reversed_bits[reversed_bits < number])
