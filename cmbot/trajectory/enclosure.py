@@ -279,10 +279,10 @@ def highest(
     remainder = np.where(np.isnan(remainder), np.inf, remainder)
     start, width = pieces.start.copy(), pieces.end - pieces.start
     value, time, bound = -np.inf, float(pieces.start[0]), -np.inf
-    halving = 0
+    halving, ends = 0, np.empty((0, 2)) if exact is None else exact(control[:, :, [0, -1]], piece)
     while True:
         at = convex(control, piece)
-        ends = at[:, [0, -1]] if exact is None else exact(control[:, :, [0, -1]], piece)
+        ends = at[:, [0, -1]] if exact is None else ends
         if not (np.isfinite(at).all() and np.isfinite(ends).all()):
             return Peak(time=time, value=np.nan, bound=np.nan)
         k, side = np.unravel_index(ends.argmax(), ends.shape)
@@ -297,12 +297,20 @@ def highest(
             bound = float(np.maximum(bound, (hull + remainder[piece])[~open_].max()))
         if not open_.any():
             break
-        control, piece, start = control[open_], piece[open_], start[open_]
+        control, piece, start, ends = control[open_], piece[open_], start[open_], ends[open_]
         width = width[open_]
         times = 1 if exact is None or number > _FEW_PIECES else min(3, _MAX_PIECE_HALVINGS - halving)
         for _ in range(times):
-            width = np.tile(0.5 * width, 2)
-            start = np.concatenate([start, start + width[: len(start)]])
-            control, piece = np.concatenate(halves(control)), np.tile(piece, 2)
+            width = np.repeat(0.5 * width, 2)
+            start = np.repeat(start, 2)
+            start[1::2] += width[1::2]
+            control = np.stack(halves(control), axis=1).reshape(-1, *control.shape[1:])
+        if exact is not None:
+            # The ends of the parts are known; the next ones share what is between them.
+            inner = control.reshape(number, -1, *control.shape[1:])[:, :-1, :, -1].swapaxes(1, 2)
+            between = exact(inner, piece)
+            sides = np.hstack([ends[:, :1], between]), np.hstack([between, ends[:, 1:]])
+            ends = np.stack(sides, axis=2).reshape(-1, 2)
+        piece = np.repeat(piece, 2**times)
         halving += times
     return Peak(time=time, value=value, bound=max(bound, value))
