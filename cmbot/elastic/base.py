@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -42,17 +42,27 @@ class ElasticBase:
         Mass of the guardrail that moves with the foot; zero for a given stiffness without a mass.
     damping : (6, 6), Ns/m, Ns, Nms
         Of its own; zero but for a given stiffness with a damping.
-    frequencies : (k,), Hz
-        Lowest natural frequencies of the whole frame without the robot, ascending; empty for a given
-        stiffness or a material without mass.
+    guardrail : Guardrail, optional
+        Whose frame it is.
     """
 
     stiffness: FloatArray
     mass: FloatArray
     damping: FloatArray
-    frequencies: FloatArray
+    guardrail: Guardrail | None = None
 
     __repr__ = short_repr
+
+    @cached_property
+    def frequencies(self) -> FloatArray:
+        """Lowest natural frequencies (k,), Hz, of the whole frame without the robot, ascending.
+
+        Empty for a given stiffness or a material without mass.
+        """
+        if self.guardrail is None:
+            return read_only(np.zeros(0))
+        found = guardrail_frame(self.guardrail).frame.frequencies(_MODE_COUNT)
+        return read_only(np.sqrt(self.guardrail.stiffness_factor) * found)
 
 
 # Several parts of a plan ask for that of one guardrail, and so do the jobs of a campaign.
@@ -70,19 +80,25 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     InputError
         When there is no frame for the guardrail, or its stiffness is ill-conditioned.
     """
-    legs = guardrail.leg_compliance
+    legs, none = guardrail.leg_compliance, np.zeros((6, 6))
     if guardrail.stiffness is not None:
-        none, own = np.zeros((6, 6)), np.array(guardrail.stiffness)
+        own = np.array(guardrail.stiffness)
         mass, damping = (none if part is None else part for part in (guardrail.mass, guardrail.damping))
         K, moved = _with_legs(own, np.eye(6), legs)
-        return _base(K, moved.T @ mass @ moved, np.zeros(0), moved.T @ damping @ moved)
+        return _base(None, K, moved.T @ mass @ moved, moved.T @ damping @ moved)
     if not guardrail.post_positions:
-        return None if legs is None else _base(np.linalg.inv(legs[0] + _RIGID), np.zeros((6, 6)), np.zeros(0))
-    made, factor = guardrail_frame(guardrail), guardrail.stiffness_factor
-    condensed = made.frame.condense(*made.feet)
-    K, moved = _with_legs(factor * condensed.stiffness, _motion_of_feet(guardrail), legs)
-    M = moved.T @ condensed.mass @ moved
-    return _base(K, M, np.sqrt(factor) * made.frame.frequencies(_MODE_COUNT))
+        return None if legs is None else _base(None, np.linalg.inv(legs[0] + _RIGID), none, none)
+    own, mass = _at_nodes(guardrail)
+    K, moved = _with_legs(own, _motion_of_feet(guardrail), legs)
+    return _base(guardrail, K, moved.T @ mass @ moved, none)
+
+
+@lru_cache(maxsize=4)
+def _at_nodes(guardrail: Guardrail) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and mass (6 k, 6 k) of a frame at the feet's nodes, read-only."""
+    frame, feet = guardrail_frame(guardrail)
+    condensed = frame.condense(*feet)
+    return read_only(guardrail.stiffness_factor * condensed.stiffness), read_only(condensed.mass)
 
 
 def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
@@ -103,8 +119,7 @@ def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
     """
     if len(guardrail.footholds) == 1:
         return (np.eye(6),)
-    made, G = guardrail_frame(guardrail), _motion_of_feet(guardrail)
-    own = guardrail.stiffness_factor * made.frame.condense(*made.feet).stiffness
+    own, G = _at_nodes(guardrail)[0], _motion_of_feet(guardrail)
     K, moved = _with_legs(own, G, guardrail.leg_compliance)
     borne = own @ moved @ np.linalg.inv(K)
     parts = (slice(6 * k, 6 * k + 6) for k in range(len(guardrail.footholds)))
@@ -175,11 +190,8 @@ def with_legs(stiffness: FloatArray, legs: FloatArray | None) -> FloatArray:
 
 def motion_of_feet(guardrail: Guardrail) -> FloatArray:
     """Return the displacements (6 k, 6) of the feet's nodes by the motion of the arm's base at O0."""
-    made, G = guardrail_frame(guardrail), _motion_of_feet(guardrail)
-    if guardrail.leg_compliance is None:
-        return G
-    own = guardrail.stiffness_factor * made.frame.condense(*made.feet).stiffness
-    return _with_legs(own, G, guardrail.leg_compliance)[1]
+    G, legs = _motion_of_feet(guardrail), guardrail.leg_compliance
+    return G if legs is None else _with_legs(_at_nodes(guardrail)[0], G, legs)[1]
 
 
 def _motion_of_feet(guardrail: Guardrail) -> FloatArray:
@@ -219,16 +231,10 @@ def _motion(points: FloatArray, foot_point: FloatArray) -> FloatArray:
     return np.vstack(rows)
 
 
-def _base(
-    stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray, damping: FloatArray | None = None
-) -> ElasticBase:
+def _base(guardrail: Guardrail | None, *parts: FloatArray) -> ElasticBase:
     # Matrices from files may be asymmetric in the last digit; symmetric ones are unchanged.
-    return ElasticBase(
-        stiffness=read_only((stiffness + stiffness.T) / 2),
-        mass=read_only((mass + mass.T) / 2),
-        damping=read_only(np.zeros((6, 6)) if damping is None else (damping + damping.T) / 2),
-        frequencies=read_only(frequencies),
-    )
+    stiffness, mass, damping = (read_only((part + part.T) / 2) for part in parts)
+    return ElasticBase(stiffness=stiffness, mass=mass, damping=damping, guardrail=guardrail)
 
 
 class GuardrailFrame(NamedTuple):

@@ -131,7 +131,6 @@ def random_base(rng: np.random.Generator) -> ElasticBase:
         stiffness=(stiffness + stiffness.T) / 2,
         mass=mass @ mass.T,
         damping=np.zeros((6, 6)),
-        frequencies=np.zeros(0),
     )
 
 
