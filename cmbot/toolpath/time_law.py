@@ -155,8 +155,8 @@ class TimeLaw(ShortRepr):
     def _value(self, coefficients: FloatArray, u: FloatArray) -> FloatArray:
         phase = self._phase(u)
         x, value = u - self.breaks[phase], np.zeros(np.shape(u))
-        for column in coefficients.T[::-1]:
-            value = value * x + column[phase]
+        for column in coefficients.T[::-1, phase]:
+            value = value * x + column
         return value
 
 
