@@ -208,11 +208,9 @@ class Pieces:
 
     def halved(self, which: BoolArray) -> Pieces:
         """Return the pieces with those that are marked, (K,), cut in two."""
-        starts = np.concatenate([self.start, self.middle[which]])
-        order = np.argsort(starts)
-        ends = np.where(which, self.middle, self.end)
-        ends = np.concatenate([ends, self.end[which]])
-        return Pieces(trajectory=self.trajectory, start=starts[order], end=ends[order])
+        # Where one part ends the other begins.
+        start, end = (np.sort(np.append(side, self.middle[which])) for side in (self.start, self.end))
+        return Pieces(trajectory=self.trajectory, start=start, end=end)
 
     def refined(self, remainders: Callable[[Pieces], FloatArray], most: int) -> Pieces:
         """Return pieces that are halved while `remainders`, (K,) as shares of what is allowed, exceed 1.
@@ -291,26 +289,22 @@ def highest(
         hull = at.max(axis=1)
         open_ = (hull > value + resolution) & (hull - ends.max(axis=1) > _MIN_HULL_SHARE * resolution)
         number = int(open_.sum())
-        if halving == _MAX_PIECE_HALVINGS or number > _MAX_PIECES:
-            open_[:] = False
+        open_ &= halving < _MAX_PIECE_HALVINGS and number <= _MAX_PIECES
         if (~open_).any():
             bound = float(np.maximum(bound, (hull + remainder[piece])[~open_].max()))
         if not open_.any():
             break
-        control, piece, start, ends = control[open_], piece[open_], start[open_], ends[open_]
-        width = width[open_]
+        control, piece, start, width, ends = (each[open_] for each in (control, piece, start, width, ends))
         times = 1 if exact is None or number > _FEW_PIECES else min(3, _MAX_PIECE_HALVINGS - halving)
         for _ in range(times):
-            width = np.repeat(0.5 * width, 2)
-            start = np.repeat(start, 2)
-            start[1::2] += width[1::2]
             control = np.stack(halves(control), axis=1).reshape(-1, *control.shape[1:])
+        parts = 2**times
         if exact is not None:
-            # The ends of the parts are known; the next ones share what is between them.
-            inner = control.reshape(number, -1, *control.shape[1:])[:, :-1, :, -1].swapaxes(1, 2)
-            between = exact(inner, piece)
-            sides = np.hstack([ends[:, :1], between]), np.hstack([between, ends[:, 1:]])
-            ends = np.stack(sides, axis=2).reshape(-1, 2)
-        piece = np.repeat(piece, 2**times)
+            # The ends are known; the parts share what is between them.
+            inner = control.reshape(number, parts, *control.shape[1:])[:, :-1, :, -1].swapaxes(1, 2)
+            points = np.hstack([ends[:, :1], exact(inner, piece), ends[:, 1:]])
+            ends = np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2)
+        width, start, piece = (np.repeat(each, parts) for each in (width / parts, start, piece))
+        start += width * np.tile(np.arange(parts), number)
         halving += times
     return Peak(time=time, value=value, bound=max(bound, value))

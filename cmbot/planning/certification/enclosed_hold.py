@@ -62,9 +62,8 @@ class EnclosedHold:
     @property
     def needed_bound(self) -> float:
         """No foot needs more adhesion at any time, N; infinite where none holds by it."""
-        if not self._adhesion:
-            return np.inf
-        return float(np.max([peak.bound for peak in self._adhesion.values()], initial=0.0))
+        bounds = [peak.bound for peak in self._adhesion.values()]
+        return float(np.max(bounds, initial=0.0)) if bounds else np.inf
 
     def checks(self) -> Iterator[Check]:
         """Yield what each foot bears against what is known of it."""

@@ -19,8 +19,8 @@ _MARGIN_SHARE_BETWEEN = 0.5
 # The cost changes slowly: no point moves further than this between two postures where it is computed, m.
 _COST_DISTANCE_M = 0.2
 _NO_BOUND = float(np.finfo(np.float64).max)
-# Postures of a line that are checked at once; each block is as many times larger than the one before.
-_FIRST_BLOCK, _BLOCK_GROWTH = 8, 4
+# Postures of a line that are checked at once, in their order.
+_BLOCKS = (0, 8), (8, 40), (40, 168), (168, 680), (680, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +79,9 @@ class FreeSpace:
         if not (self.robot.limits.contain(postures).all() and (self.cost(postures) <= self.bound).all()):
             return False
         # Scattered over the line first: what is in the way is found by few of them.
-        postures = postures[_scattered(len(postures))]
-        first, number, least = 0, _FIRST_BLOCK, self.margin + self.spare
-        while first < len(postures):
-            if (self.clearances.query(postures[first : first + number], least).distance < least).any():
-                return False
-            first, number = first + number, number * _BLOCK_GROWTH
-        return True
+        postures, least = postures[_scattered(len(postures))], self.margin + self.spare
+        blocks = (postures[first:end] for first, end in _BLOCKS if first < len(postures))
+        return all((self.clearances.query(block, least).distance >= least).all() for block in blocks)
 
     def _along(self, starts: FloatArray, ends: FloatArray, every: float) -> tuple[FloatArray, IntArray]:
         """Postures (M, n) on lines between postures (k, n), without the starts, and their lines (M,)."""
