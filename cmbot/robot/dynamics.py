@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, cross
 from cmbot.robot.kinematics import Postures
 from cmbot.robot.robot import Robot
 
@@ -123,22 +123,21 @@ class Dynamics:
         """Evaluate guardrail torque about O0 in W, then joint torques: 3 + n rows."""
         N, n = q.shape
         model, data = self.robot.model, self._data
-        dF_dq, dF_dv, dF_da = data.dFdq[3:], data.dFdv[3:], data.dFda[3:]
-        value = np.empty((N, 3 + n))
-        d_q, d_v, d_a = (np.empty((N, 3 + n, n)) for _ in range(3))
+        dF_dq, dF_dv, dF_da = data.dFdq, data.dFdv, data.dFda
+        # With the force, which is dropped at the end.
+        value = np.empty((N, 6 + n))
+        d_q, d_v, d_a = (np.empty((N, 6 + n, n)) for _ in range(3))
         for k in range(N):
             rows = pin.computeRNEADerivatives(model, data, q[k], v[k], a[k], self._external)
-            d_q[k, 3:], d_v[k, 3:], d_a[k, 3:] = rows
-            d_q[k, :3], d_v[k, :3], d_a[k, :3] = dF_dq, dF_dv, dF_da
-            value[k, :3], value[k, 3:] = data.of[1].angular, data.tau
+            d_q[k, 6:], d_v[k, 6:], d_a[k, 6:] = rows
+            d_q[k, :6], d_v[k, :6], d_a[k, :6] = dF_dq, dF_dv, dF_da
+            value[k, :6], value[k, 6:] = data.of[1].vector, data.tau
+        for part in (value[:, :, None], d_q, d_v, d_a):
             if self._foot_point.any():
                 # From the origin of W to O0.
-                value[k, :3] -= np.cross(self._foot_point, data.of[1].linear)
-                for part, of in ((d_q, data.dFdq), (d_v, data.dFdv), (d_a, data.dFda)):
-                    part[k, :3] -= np.cross(self._foot_point, of[:3], axisb=0, axisc=0)
-        for array in (value, d_q, d_v, d_a):
-            array[:, :3] *= -1.0
-        return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
+                part[:, 3:6] -= cross(self._foot_point, part[:, :3].swapaxes(1, 2)).swapaxes(1, 2)
+            part[:, 3:6] *= -1.0
+        return EffortDerivatives(value=value[:, 3:], d_q=d_q[:, 3:], d_v=d_v[:, 3:], d_a=d_a[:, 3:])
 
     def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
         """Evaluate the wrench on the guardrail about O0 in W: 6 rows, force then torque."""
@@ -156,7 +155,7 @@ class Dynamics:
             d_q[k], d_v[k], d_a[k] = dF_dq, dF_dv, dF_da
         for array in (value, d_q, d_v, d_a):
             if self._foot_point.any():
-                array[..., 3:] -= np.cross(self._foot_point, array[..., :3])
+                array[..., 3:] -= cross(self._foot_point, array[..., :3])
             array *= -1.0
         d_q, d_v, d_a = (array.transpose(0, 2, 1) for array in (d_q, d_v, d_a))
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)

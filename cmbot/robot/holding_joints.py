@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, cross
 from cmbot.robot.elasticity import JointElasticity
 from cmbot.robot.joint_kinds import prismatic_joints, turn_axis
 
@@ -60,7 +60,7 @@ class HoldingJoint:
 
         With the wrench on the joint's foot about that point it is also what gives the joint's torque.
         """
-        return np.hstack([np.cross(self.axis, about - self.point), self.axis])
+        return np.hstack([cross(self.axis, about - self.point), self.axis])
 
     def compliance(self, about: FloatArray) -> FloatArray:
         """Return how a wrench about a point (3,) in W moves that point: (6, 6), linear, then angular."""
@@ -75,7 +75,7 @@ class HoldingJoint:
 
     def own_torque(self, gravity: FloatArray) -> float:
         """Return the torque, Nm, by the weight on the foot's side of it, which it does not bear."""
-        return float(np.cross(self.centre - self.point, self.mass * gravity) @ self.axis)
+        return float(cross(self.centre - self.point, self.mass * gravity) @ self.axis)
 
 
 def holding_rows(

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, PlainSerializer, WrapValidator
 
 from cmbot.collision import Box
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector, read_as
 from cmbot.common.reading.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
@@ -153,9 +153,9 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     face = foothold_face(guardrail, place)
     along, _, out = face.axes
     turn = np.radians(place.turn_deg)
-    z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * np.cross(out, along)
+    z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * cross(out, along)
     X = np.eye(4)
-    X[:3, :3] = np.column_stack([np.cross(out, z), out, z])
+    X[:3, :3] = np.column_stack([cross(out, z), out, z])
     X[:3, 3] = axis_point(guardrail, place) + (face.depth - PLATE_OFFSET_M) * out
     return X
 
