@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import BoolArray, FloatArray, cross
+from cmbot.common.arrays import BoolArray, FloatArray, cross, read_only
 from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
@@ -71,22 +71,19 @@ class Chain:
         N = q.shape[1]
         cosines, sines = np.cos(q), np.sin(q)
         # The x axis turns towards y, the y axis away from x.
-        sines = np.stack([sines, -sines], axis=1)
-        # The axes of the rotated frame, one after the other.
-        axes = np.repeat(np.eye(3)[:, :, None], N, axis=2)
+        sines = np.stack([sines, -sines], axis=1)[:, :, None]
+        # The axes of the rotated frame, one after the other, each with its components.
+        axes = np.repeat(np.eye(3)[:, :, None], N, axis=2).reshape(3, -1)
         origin = np.zeros((3, N))
         for i, (step, fixed) in enumerate(self.steps):
-            moved = (step @ axes.reshape(3, -1)).reshape(4, 3, N)
-            origin = origin + moved[0]
-            axes = moved[1:]
+            flat = step @ axes
+            axes, moved = flat[1:], flat.reshape(4, 3, N)
+            origin, plane, axis = np.add(origin, moved[0], out=moved[0]), moved[1:3], moved[3]
             if self._slides[i]:
-                origin += q[i] * axes[2]
+                origin += q[i] * axis
             else:
-                crossed = sines[i][:, None] * axes[1::-1]
-                axes[:2] *= cosines[i]
-                axes[:2] += crossed
-            turned = (fixed @ axes.reshape(3, -1)).reshape(-1, 3, N) if len(fixed) else axes[:0]
-            yield origin, axes[2], turned
+                np.add(cosines[i] * plane, sines[i] * plane[::-1], out=plane)
+            yield origin, axis, (fixed @ axes).reshape(-1, 3, N) if len(fixed) else moved[:0]
 
 
 def _frame_about(axis: FloatArray) -> FloatArray:
@@ -192,8 +189,13 @@ class PostureBatch(ToolBatch):
     @property
     def guardrail_force(self) -> FloatArray:
         """Static force (N, 3) on the guardrail, N: the arm's weight, and the force on the tool."""
-        weight = np.tile(self.mass.sum() * self.gravity, (len(self.q), 1))
+        weight = np.full((len(self.q), 3), self.mass.sum() * self.gravity)
         return weight + self.push if self.tool_force.any() else weight
+
+    @cached_property
+    def guardrail_wrench(self) -> FloatArray:
+        """Static force and torque on the guardrail about O0 (N, 6), N and Nm; read-only."""
+        return read_only(np.hstack([self.guardrail_force, self.guardrail_torque]))
 
     @cached_property
     def guardrail_torque(self) -> FloatArray:

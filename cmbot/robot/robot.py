@@ -289,7 +289,7 @@ class Robot:
         """Compliance (k, 6, 6) about O0 of `holding_joints`, for each foot; None: they are rigid."""
         return leg_compliance(self.holding_joints, max(len(self.feet), 1), np.array(self.foot_point))
 
-    @property
+    @cached_property
     def holding_limits(self) -> FloatArray:
         """What `holding_joints` hold, (k,), Nm; infinite where nothing says it."""
         return np.array([joint.limit for joint in self.holding_joints])

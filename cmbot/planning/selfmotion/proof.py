@@ -389,7 +389,7 @@ class TorqueFloorProof:
         push = goal.rotation[0] @ self._cell.robot.tool_force
         lever = goal.point[0] - np.array(self._cell.robot.foot_point)
         constant = np.concatenate([push, cross(lever, push)])
-        value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
+        value, gradient = self._function(at.guardrail_wrench + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
         return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])
 

@@ -31,7 +31,7 @@ def weakest_joint(cell: Workcell, q: FloatArray) -> str:
     Joints that are locked below the arm are among them.
     """
     at, robot = cell.postures.at(q), cell.robot
-    held = robot.holding_use(np.hstack([at.guardrail_force, at.guardrail_torque]))
+    held = robot.holding_use(at.guardrail_wrench)
     use = np.hstack([np.abs(at.joint_torque) / robot.limits.torque, held])
     if (cell.use_at_rest(at) > use.max(axis=1)).mean() > 0.5:
         return FEET

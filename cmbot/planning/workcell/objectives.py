@@ -132,12 +132,11 @@ class WrenchObjective:
 
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) at rest in N postures."""
-        return self.function(np.hstack([postures.guardrail_force, postures.guardrail_torque]))[0]
+        return self.function(postures.guardrail_wrench)[0]
 
     def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
-        efforts = efforts_of(self._dynamics, states)
-        return self.function(np.hstack([efforts.guardrail_force, efforts.guardrail_torque]))[0]
+        return self.function(efforts_of(self._dynamics, states).guardrail_wrench)[0]
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
@@ -225,7 +224,7 @@ def objective_of(
         q = np.zeros((1, robot.dof)) if posture is None else posture[None]
         at = Postures(robot).at(q)
         checked = _CheckedFunction(own, name)
-        checked.require_gradient(np.hstack([at.guardrail_force, at.guardrail_torque]))
+        checked.require_gradient(at.guardrail_wrench)
         # A moment is known to be fine, and its components are used.
         function = own if isinstance(own, WeightedMoment) else checked
         return WrenchObjective(robot, function, name=name, unit="")

@@ -157,7 +157,7 @@ class Workcell(ShortRepr):
 
     def _use_of_joints(self, at: PostureBatch) -> tuple[FloatArray, FloatArray]:
         """The largest shares (N,) that joints use, also of a climber, and wrenches (N, 6) on the base."""
-        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
+        wrench = at.guardrail_wrench
         use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
         return np.maximum(use, self.robot.holding_use(wrench).max(axis=1, initial=0.0)), wrench
 
