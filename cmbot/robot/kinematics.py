@@ -22,6 +22,8 @@ from cmbot.robot.robot import Robot
 _POSTURES_PER_BLOCK = 512
 # Bound of the second derivative of the tool's orientation, where the reach is that of its point.
 _ROTATION_CURVATURE = 2.0
+# The x axis turns towards y, the y axis away from x.
+_TURNING = np.array([1.0, -1.0])[:, None, None]
 # From this number of postures on a batch is quicker than one call each: benchmarks/kernels.py.
 _MIN_BATCH_POSTURES = 64
 
@@ -70,8 +72,7 @@ class Chain:
         """
         N = q.shape[1]
         cosines, sines = np.cos(q), np.sin(q)
-        # The x axis turns towards y, the y axis away from x.
-        sines = np.stack([sines, -sines], axis=1)[:, :, None]
+        sines = sines[:, None, None] * _TURNING
         # The axes of the rotated frame, one after the other, each with its components.
         axes = np.repeat(np.eye(3)[:, :, None], N, axis=2).reshape(3, -1)
         origin = np.zeros((3, N))
