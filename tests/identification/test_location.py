@@ -1,12 +1,12 @@
 """`cmbot.locate`: poses from touched places, against displacements that are known."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from locating import FRAME, WITHIN, drawn, features, measured, squares
 from small_scenes import short_scene
 
 import cmbot
@@ -15,8 +15,6 @@ from cmbot.common.errors import InputError
 from cmbot.elastic.sag import Sag
 from cmbot.identification import (
     Feature,
-    Touches,
-    TouchSetup,
     features_to_touch,
     located,
     location_remarks,
@@ -27,68 +25,10 @@ from cmbot.planning import bending_arm, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Scene
 
-FRAME = {"bracket": {"xyz": [1.8, 0.3, -2.0], "rpy_deg": [10, -20, 30]}}
-# On six faces of a box, each with its normal; and its corners.
-CORNERS = 0.4 * np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
-
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     return short_scene(frames=FRAME)
-
-
-def features(kind: str, rng: np.random.Generator, count: int) -> list[Feature]:
-    found = list[Feature]()
-    for k in range(count):
-        axis = np.eye(3)[k % 3] * (1 if k % 2 else -1)
-        point = CORNERS[k % len(CORNERS)]
-        if kind == "point":
-            axis = np.zeros(3)
-        elif kind == "plane":
-            point = 0.2 * axis + (np.eye(3) - np.outer(axis, axis)) @ rng.uniform(-0.2, 0.2, 3)
-        radius = 0.1 if kind == "cylinder" else 0.0
-        found.append(Feature(kind=kind, point=point, axis=axis, radius=radius))  # type: ignore[arg-type]
-    return found
-
-
-def on_feature(feature: Feature, rng: np.random.Generator) -> FloatArray:
-    """A place on a feature, in its frame."""
-    away = rng.uniform(-0.1, 0.1, 3)
-    along = feature.axis * (feature.axis @ away)
-    match feature.kind:
-        case "plane":
-            return feature.point + away - along
-        case "edge":
-            return feature.point + along
-        case "cylinder":
-            across = away - along
-            return feature.point + along + feature.radius * across / np.linalg.norm(across)
-        case _:
-            return feature.point
-
-
-def measured(
-    scene: Scene, each: list[Feature], xi: FloatArray, rng: np.random.Generator, noise: float = 3e-4
-) -> Touches:
-    """Touches of a workpiece that is displaced by `xi`."""
-    X = scene.frame_poses["bracket"]
-    before = np.array([X[:3, 3] + X[:3, :3] @ on_feature(feature, rng) for feature in each])
-    middle = np.mean([X[:3, 3] + X[:3, :3] @ feature.point for feature in each], axis=0)
-    places = middle + xi[:3] + (before - middle) @ pin.exp3(xi[3:]).T
-    return Touches(
-        source="touches",
-        scene=scene,
-        setup=TouchSetup(touch_sd_mm=0.3),
-        frame="bracket",
-        X_WF=X,
-        places=places + noise * rng.normal(size=places.shape),
-        features=tuple(each),
-    )
-
-
-def drawn(rng: np.random.Generator) -> FloatArray:
-    """A displacement as the prior has it."""
-    return np.concatenate([0.02 * rng.normal(size=3), np.radians(2.0) * rng.normal(size=3)])
 
 
 @pytest.mark.parametrize(("kind", "count"), [("point", 3), ("plane", 18), ("edge", 6), ("cylinder", 9)])
@@ -108,20 +48,10 @@ def test_exact_touches_give_the_pose(scene: Scene, kind: str, count: int) -> Non
     assert found.left_out == ()
 
 
-def squares(scene: Scene, kind: str, count: int, runs: int) -> Iterator[float]:
-    """The squared error of each of many estimates in units of its covariance."""
-    rng = np.random.default_rng(3)
-    for _ in range(runs):
-        xi = drawn(rng)
-        found = located(measured(scene, features(kind, rng, count), xi, rng))
-        off = found.moved - xi
-        yield float(off @ np.linalg.solve(found.covariance, off))
-
-
 @pytest.mark.parametrize(("kind", "count"), [("point", 4), ("plane", 7)])
 def test_the_truth_is_in_its_region_as_often_as_is_said(scene: Scene, kind: str, count: int) -> None:
     """12.59 is the 95 % quantile of chi square with 6 degrees of freedom; 200 draws have 1.5 % of scatter."""
-    inside = np.mean([square < 12.592 for square in squares(scene, kind, count, 200)])
+    inside = np.mean([square < WITHIN for square, _ in squares(scene, kind, count, 200)])
     assert 0.90 <= inside <= 0.99
 
 
