@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class FreeSpace:
         return path[left]
 
 
-@cache
+@lru_cache(maxsize=256)
 def _scattered(number: int) -> IntArray:
     """Indices 0 to `number` - 1, in an order in which the first ones are spread evenly: bits reversed."""
     bits = max((number - 1).bit_length(), 1)
