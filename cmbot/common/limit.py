@@ -32,4 +32,6 @@ class Limit(StrEnum):
     SWAY = "sway"
     """The tool's at work, and its swing after it."""
     PEAK = "peak"
+    LEAP = "leap"
+    """A step between via-points from one branch of postures to another."""
     OTHER = "other"

@@ -53,6 +53,7 @@ from cmbot.planning.request import (
     end_posture_of as end_posture_of,
     strokes_of as strokes_of,
     task_of as task_of,
+    with_cuts as with_cuts,
 )
 from cmbot.planning.result.baseline import Baseline as Baseline, joined_samples as joined_samples
 from cmbot.planning.result.judgement import (

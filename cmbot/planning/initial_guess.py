@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
+from cmbot.common.limit import Limit
 from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
 from cmbot.planning.path.gradient_projection import find_path, follow_path
@@ -141,9 +142,21 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
     if leap(problem.request, form.via_points) == 0.0:
         return None
     worst = find_violations(problem, form.trajectory, np.inf, 0.0, 1).worst
-    return worst.failure(
+    failure = worst.failure(
         "only by leaps to other branches of postures, off the tool path, were via-points joined in time"
     )
+    failure.limit = Limit.LEAP
+    return failure
+
+
+def furthest(request: StrokeRequest, guess: InitialGuess) -> float:
+    """Return the time, s, up to which via-points are joined without a leap, where those of a guess leap."""
+    while (leaping := leap(request, guess.problem.parametrization.via_points)) and guess.search is not None:
+        try:
+            guess = sliding_guess(request, search=guess.search.halved(leaping))
+        except PathNotFound as failure:
+            return failure.time
+    return 0.0 if leaping else float(request.times[-1])
 
 
 def roughness(problem: TorqueProblem) -> float:

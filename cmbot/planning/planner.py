@@ -30,7 +30,7 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import require_posture, require_postures, require_within_reach
-from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of
+from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of, with_cuts
 from cmbot.planning.result.plan import Plan, require_plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.workcell.objectives import WrenchFunction
@@ -304,10 +304,14 @@ class _Planner:
                 continue
             # What is told is why the whole path failed.
             refused = uncut.setdefault(file.part_of or file.name, planned)
-            if near is not None or not cuts.cut(planned.trial.attempt.request, outcome):
+            is_slow = near is not None or planned.shortest is not None
+            if is_slow or not cuts.cut(planned.trial.chain[0].attempt, outcome):
                 return refused
-            scene = asked.with_cuts(cuts.ends)
-            request = self._require_reach(scene, deadline)
+            scene = with_cuts(asked, request.cell.robot, cuts.ends)
+            try:
+                request = self._require_reach(scene, deadline)
+            except PathNotFound:
+                return refused
         plan = composed(scene, made, custom=self.objective is not None)
         return replace(plan, fallbacks=(*cuts.in_words, *plan.fallbacks))
 

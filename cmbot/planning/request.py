@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -239,6 +240,17 @@ def in_cells(scene: Scene, robot: Robot) -> Scene:
         As `strokes_of`.
     """
     return scene.in_cells(_start_pose(scene, robot))
+
+
+def with_cuts(scene: Scene, robot: Robot, ends: Mapping[str, Sequence[float]]) -> Scene:
+    """Return a scene with paths cut at some places: see `Scene.with_cuts`.
+
+    Raises
+    ------
+    SceneError
+        As `strokes_of`.
+    """
+    return scene.with_cuts(ends, _start_pose(scene, robot))
 
 
 def _start_pose(scene: Scene, robot: Robot) -> FloatArray:

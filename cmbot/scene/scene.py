@@ -37,7 +37,7 @@ from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.path_file import MOST_ORDERED, WORK, JobStrokes, Order, StrokeFile, ToolPathEntry
 from cmbot.scene.path.stroke import Stroke, timed_stroke
-from cmbot.scene.path.stroke_parts import raster_parts, require_apart, waypoint_parts
+from cmbot.scene.path.stroke_parts import path_parts, raster_parts, require_apart
 from cmbot.scene.path.surface import surface_of
 from cmbot.scene.robot_entry import (
     STOW,
@@ -560,11 +560,23 @@ class Scene(FileModel):
         # Too many strokes to be ordered are taken as they are.
         return self.with_strokes(strokes, self.order if len(strokes) <= MOST_ORDERED else None)
 
-    def with_cuts(self, ends: Mapping[str, Sequence[int]]) -> Self:
-        """Return the scene with paths cut: of strokes, by their names, the waypoints that end a part."""
-        taken = {str(file.name) for file in self.strokes}
-        parts = (waypoint_parts(file, ends.get(str(file.name), ()), taken) for file in self.strokes)
-        return self.with_strokes([part for each in parts for part in each], self.order)
+    def with_cuts(self, ends: Mapping[str, Sequence[float]], X_WT: FloatArray) -> Self:
+        """Return the scene with paths cut: see `path_parts`.
+
+        Parameters
+        ----------
+        ends : mapping of str to sequence of float
+            By the names of strokes, where their parts end.
+        X_WT : (4, 4)
+            Pose of the tool in `posture`.
+        """
+        if not any(ends.values()):
+            return self
+        taken, parts = {str(file.name) for file in self.strokes}, list[StrokeFile]()
+        for stroke in self.timed_strokes(X_WT):
+            own = ends.get(stroke.name)
+            parts += path_parts(stroke.file, stroke.path, own, taken) if own else [stroke.file]
+        return self.with_strokes(parts, self.order)
 
     def _stroke_key(self, number: int) -> str:
         """The key in the file of a stroke: strokes that are parts of one raster have its key."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator
 
 from cmbot.common.errors import InputError
@@ -163,6 +164,37 @@ class Leg(CheckedFields):
     def is_timed(self) -> bool:
         """Whether it has a time of its own."""
         return any(each is not None for each in (self.pause, self.seconds, self.speed_m_s))
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether the leg can be cut on its way: neither a pause nor an arc through two points."""
+        return self.pause is None and (self.arc is None or self.arc.angle_deg is not None)
+
+    @property
+    def frame(self) -> str:
+        """The frame that it is described in."""
+        goal = self.to or self.arc
+        return "world" if goal is None else goal.frame
+
+    def part(self, begin: float, end: float, goal: Goal) -> Leg:
+        """Return what is between two shares of the leg, the second of which is covered at a goal.
+
+        In the third root of its share of the leg's seconds speeds and accelerations are smaller, and jerks no
+        larger. At a given speed it cruises as fast.
+        """
+        share = end - begin
+        if share == 1.0:
+            return self
+        changes: dict[str, Any] = {}
+        if self.by is not None:
+            changes["by"] = tuple(share * each for each in self.by)
+        elif self.arc is not None and self.arc.angle_deg is not None:
+            changes["arc"] = replace(self.arc, angle_deg=share * self.arc.angle_deg)
+        elif end < 1.0:
+            changes["to"] = goal
+        if isinstance(self.seconds, float):
+            changes["seconds"] = float(np.cbrt(share)) * self.seconds
+        return replace(self, **changes)
 
     @property
     def given_seconds(self) -> float:

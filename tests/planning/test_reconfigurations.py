@@ -1,14 +1,16 @@
 """Paths that no branch of postures follows whole are cut, and the arm goes on from another posture."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_scenes import request_of
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError, PathNotFound
-from cmbot.planning import plan
+from cmbot.planning import plan, with_cuts
 from cmbot.scene import Scene, load_scene
 
 
@@ -17,7 +19,22 @@ def turning_scene(turn_deg: float, **keys: object) -> Scene:
     share = np.linspace(0.0, 1.0, 41)[:, None]
     points = np.array([0.5, -0.1, 0.5]) + share * [0.0, 0.2, 0.0]
     turns = Rotation.from_euler("z", turn_deg * share, degrees=True) * Rotation.from_euler("x", np.pi)
-    path = {"waypoints": np.hstack([points, turns.as_quat(scalar_first=True)]).tolist(), "via_points": "auto"}
+    poses = np.hstack([points, turns.as_quat(scalar_first=True)]).tolist()
+    return panda_scene(**({"seconds": 40, "waypoints": poses} | keys))
+
+
+def turning_legs(turn_deg: float, legs: int = 3, **keys: object) -> Scene:
+    """The same turn on legs."""
+    ends = [
+        {"xyz": [0.5, -0.1 + 0.2 * k / legs, 0.5], "rpy_deg": [180.0, 0.0, turn_deg * k / legs - 180.0]}
+        for k in range(legs + 1)
+    ]
+    timed = [{"to": end, "seconds": 40 / legs} for end in ends[1:]]
+    return panda_scene(legs=timed, **{"from": ends[0]}, **keys)
+
+
+def panda_scene(**keys: object) -> Scene:
+    """A Panda that follows a path, of which `keys` are more."""
     return load_scene(
         {
             "format": "cmbot-scene/2",
@@ -26,9 +43,8 @@ def turning_scene(turn_deg: float, **keys: object) -> Scene:
             "guardrail": {"bays": 0},
             "start": {"posture": [0.0, 0.2, 0.0, -1.8, 0.0, 2.0, 0.8]},
             "tool_path": {
-                "seconds": 40,
                 "speed_profile": {"kind": "jerk_limited", "ramp": 0.3},
-                **path,
+                "via_points": "auto",
                 **keys,
             },
             "planner": {"objective": "travel", "baseline": "none"},
@@ -64,8 +80,44 @@ def test_a_path_that_must_not_be_cut_is_refused() -> None:
     assert plan(turning_scene(500.0, **keys, keep="axis")).certificate.holds
 
 
+def test_legs_are_cut_where_no_posture_leads_on(tmp_path: Path) -> None:
+    asked = turning_legs(500.0)
+    made = plan(asked)
+    first, second = made.scene.strokes
+    assert made.certificate.holds
+    assert (first.part_of, second.part_of, first.begins_at) == ("work", "work", 0.0)
+    assert re.match(r"work is cut at \d+% of legs\[2\]: no posture was found", made.fallbacks[0])
+    # The joint turns nearly as far as it can before the arm goes on from another posture.
+    turned = np.ptp(made.job.strokes[0].trajectory.q[:, 6])
+    assert np.degrees(turned) > 0.9 * 332
+    # All poses of the path are kept, in one of the parts.
+    whole = request_of(asked).stroke.path
+    for stroke, part, begin in zip(made.scene.strokes, made.strokes, (0.0, second.begins_at), strict=True):
+        path, share = part.task.path, begin % 1
+        assert len(path.segments) == len(stroke.legs)
+        at = whole.times_at(int(begin), np.array([share]))
+        np.testing.assert_allclose(path.position([0.0]), whole.position(at), atol=1e-9)
+        np.testing.assert_allclose(path.rotation([0.0]), whole.rotation(at), atol=1e-9)
+    np.testing.assert_allclose(made.strokes[1].task.path.end_pose, whole.end_pose, atol=1e-9)
+    save(made, tmp_path)
+    load_plan(tmp_path, verify=True, scene=asked)
+    for other in (turning_legs(500.0, reconfigurations=0), turning_legs(490.0)):
+        with pytest.raises(ArchiveError, match="strokes"):
+            load_plan(tmp_path, verify=True, scene=other)
+
+
+def test_a_blocked_place_is_told_and_nothing_is_cut() -> None:
+    """No other posture is clear of what is in the way of the tool itself."""
+    ball = {"name": "ball", "sphere": 0.05, "xyz": [0.5, 0.1, 0.5]}
+    scene = turning_legs(60.0)
+    with pytest.raises(PathNotFound, match=r"is blocked at .* ball") as caught:
+        plan(load_scene(scene.as_data() | {"obstacles": [ball]}))
+    assert "work_" not in str(caught.value)
+
+
 def test_parts_share_seconds_and_via_points() -> None:
-    scene = turning_scene(300.0, via_points=50).with_cuts({"work": (10, 30)})
+    asked = turning_scene(300.0, via_points=50)
+    scene = with_cuts(asked, request_of(asked).cell.robot, {"work": (10, 30)})
     assert [part.name for part in scene.strokes] == ["work_1", "work_2", "work_3"]
     np.testing.assert_allclose([part.seconds for part in scene.strokes], [10, 20, 10])
     assert [part.via_points for part in scene.strokes] == [12, 25, 12]

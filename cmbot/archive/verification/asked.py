@@ -14,7 +14,7 @@ from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
-from cmbot.planning import Plan, aside_of_path, build_request, reached_scene, robot_of
+from cmbot.planning import Plan, aside_of_path, build_request, reached_scene, robot_of, with_cuts
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, StrokeFile, coverage_of
 from cmbot.toolpath import AUTO, RowPiece
@@ -222,18 +222,17 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     return decided
 
 
-def _ends(file: StrokeFile, strokes: Sequence[StrokeFile]) -> tuple[int, ...]:
-    """The waypoints of a path at which a plan's strokes cut it, where it may be."""
-    parts = [stroke.waypoints for stroke in strokes if stroke.part_of == file.name and stroke.waypoints]
-    ends = np.cumsum([len(part) - 1 for part in parts], dtype=int).tolist()[:-1]
-    last = 0 if file.waypoints is None else len(file.waypoints) - 1
-    most = last if file.reconfigurations is None else file.reconfigurations
-    return tuple(ends) if len(ends) <= most and all(0 < end < last for end in ends) else ()
+def _ends(file: StrokeFile, strokes: Sequence[StrokeFile]) -> tuple[float, ...]:
+    """Where a plan's strokes cut a path, as far as it may be."""
+    ends = tuple(stroke.begins_at for stroke in strokes if stroke.part_of == file.name and stroke.begins_at)
+    most = len(ends) if file.reconfigurations is None else file.reconfigurations
+    may_be = len(ends) <= most and all(file.can_be_cut(end) for end in ends)
+    return ends if may_be and list(ends) == sorted(set(ends)) else ()
 
 
 def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
     """The strokes of a scene, its rasters and paths in the parts that the strokes of a plan cover."""
-    asked = asked.with_cuts({str(file.name): _ends(file, strokes) for file in asked.strokes})
+    asked = with_cuts(asked, robot, {str(file.name): _ends(file, strokes) for file in asked.strokes})
     files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.strokes)}
     if not any(raster for _, raster in files.values()):
         return asked.strokes

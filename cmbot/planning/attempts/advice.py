@@ -20,6 +20,7 @@ from cmbot.planning.attempts.failure import (
     NearObstacle,
     NoTrajectory,
     NoWay,
+    OtherLimit,
     OutOfTime,
     ToolOff,
     Uncertified,
@@ -60,6 +61,8 @@ def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
             factors[_leg(request, failure.time)] = failure.pace
         case Uncertified(broken=JointRate(order=order, ratio=ratio)) if order:
             factors[_leg(request, failure.time)] = ratio ** (1 / order)
+        case NoTrajectory(broken=OtherLimit(what=Limit.LEAP)):
+            return None
         case NoTrajectory():
             factors = _factors(request, failure.trajectory)
             if not isinstance(failure.broken, JointRate):

@@ -241,6 +241,7 @@ def _broken(limit: Limit, value: float, bound: float) -> Broken:
             | Limit.CONTINUITY
             | Limit.PEAK
             | Limit.SWAY
+            | Limit.LEAP
             | Limit.OTHER
         ):
             return OtherLimit(what=limit)

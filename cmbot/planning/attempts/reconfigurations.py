@@ -1,4 +1,4 @@
-"""Where a path through waypoints is cut, as no posture leads on: the arm goes on from another one.
+"""Where a path is cut, as no posture leads on: the arm goes on from another one.
 
 Each part goes as far as a way was found. Parts of what can be followed can be followed, so other cuts would
 not be fewer; Wang et al. (2024, IKLink) ask for the same number.
@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.planning.attempts.failure import Failure, NoWay
+from cmbot.common.limit import Limit
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import Failure, NoTrajectory, NoWay, OtherLimit
+from cmbot.planning.initial_guess import InitialGuess, furthest
 from cmbot.planning.request import StrokeRequest
-from cmbot.scene import Scene, waypoint_shares
+from cmbot.scene import Scene, StrokeFile, waypoint_shares
 
 # Parts at most, where the scene does not say how often a path may be cut.
 _MOST_CUTS = 20
-# Parts are no shorter.
-_SHORTEST_M = 1e-3
+# Parts are no shorter, as a share of what is cut; places on legs are told in so many digits.
+_SHORTEST_PART, _PLACE_DIGITS = 1e-3, 4
 
 
 class Reconfigurations:
@@ -23,33 +26,41 @@ class Reconfigurations:
 
     Attributes
     ----------
-    ends : dict of str to tuple of int
-        Of strokes that are cut, by their names, the waypoints that end a part and begin the next one.
+    ends : dict of str to tuple of float
+        Of strokes that are cut, by their names, where each part ends and the next one begins: see
+        `Scene.with_cuts`.
     """
 
     def __init__(self, asked: Scene) -> None:
         self._asked = {str(file.name): file for file in asked.strokes}
-        self.ends = dict[str, tuple[int, ...]]()
+        self.ends = dict[str, tuple[float, ...]]()
 
-    def cut(self, request: StrokeRequest, failure: Failure) -> bool:
-        """Cut a stroke, or a part, before the place where planning it failed; whether that may help."""
-        file = request.stroke.file
-        name = str(file.part_of or file.name)
-        # Leads, passes and the way back are those of a whole path.
-        is_whole = file.backwards or file.passes or file.lead_in_m or file.lead_out_m
-        if file.waypoints is None or is_whole or not isinstance(failure, NoWay):
+    def cut(self, first: Attempt, failure: Failure) -> bool:
+        """Cut a stroke, or a part, before the place where planning it failed; whether that may help.
+
+        Parameters
+        ----------
+        first : Attempt
+            The first one at the stroke.
+        failure : Failure
+            The one that is to be told.
+        """
+        file = first.request.stroke.file
+        name, begin = str(file.part_of or file.name), file.begins_at or 0.0
+        reached = _reached(first, failure)
+        if reached is None:
             return False
-        via = int(np.searchsorted(request.times, failure.time - 1e-9)) - 1
-        reached = request.task.path.progress(float(request.times[max(via, 0)]))
-        shares = waypoint_shares(file)
-        number = int(np.searchsorted(shares, reached, side="right")) - 1
-        shorter = min(shares[number], 1 - shares[number]) * float(request.task.path.lengths.sum())
-        before = [each.file for each in request.strokes[: request.number] if each.file.part_of == name]
-        begin = sum(len(each.waypoints or ()) - 1 for each in before)
+        behind = _behind(first.request, reached)
+        if file.legs and behind < 1:
+            # Of the leg that the part begins in, the rest.
+            behind *= 1 - begin % 1
+        else:
+            behind -= begin % 1
+        end, asked = round(begin + behind, _PLACE_DIGITS), self._asked[name]
         # Parts behind this one are cut anew.
-        ends = (*self.ends.get(name, ())[: len(before)], begin + number)
-        allowed = self._asked[name].reconfigurations
-        if shorter < _SHORTEST_M or len(ends) > (_MOST_CUTS if allowed is None else allowed):
+        ends = (*(each for each in self.ends.get(name, ()) if each <= begin), end)
+        most = _MOST_CUTS if asked.reconfigurations is None else asked.reconfigurations
+        if not asked.can_be_cut(end) or min(behind, asked.steps - end) < _SHORTEST_PART or len(ends) > most:
             return False
         self.ends[name] = ends
         return True
@@ -58,8 +69,39 @@ class Reconfigurations:
     def in_words(self) -> tuple[str, ...]:
         """What is cut, a sentence each."""
         return tuple(
-            f"{name} is cut at waypoint {', '.join(str(end + 1) for end in ends)} of "
-            f"{len(self._asked[name].waypoints or ())}: no posture was found that leads on, so "
+            f"{name} is cut at {_places(self._asked[name], ends)}: no posture was found that leads on, so "
             "the arm goes on from another one there; reconfigurations: 0 forbids it."
             for name, ends in self.ends.items()
         )
+
+
+def _places(file: StrokeFile, ends: tuple[float, ...]) -> str:
+    if file.waypoints is not None:
+        return f"waypoint {', '.join(f'{end + 1:g}' for end in ends)} of {len(file.waypoints)}"
+    return ", ".join(
+        f"the end of legs[{end - 1:g}]" if end.is_integer() else f"{end % 1:.0%} of legs[{int(end)}]"
+        for end in ends
+    )
+
+
+def _reached(first: Attempt, failure: Failure) -> float | None:
+    """The time, s, of the last via-point that a way was found to; None where nothing tells."""
+    match failure, first.guess:
+        case NoWay(time=time), _:
+            pass
+        case NoTrajectory(broken=OtherLimit(what=Limit.LEAP)), InitialGuess() as guess:
+            time = furthest(first.request, guess)
+        case _:
+            return None
+    times = first.request.times
+    return float(times[max(int(np.searchsorted(times, time - 1e-9)) - 1, 0)])
+
+
+def _behind(request: StrokeRequest, time: float) -> float:
+    """How many legs of a stroke, or steps between waypoints, are behind at a time."""
+    file, path = request.stroke.file, request.task.path
+    if file.waypoints is not None:
+        shares = waypoint_shares(file)
+        return float(np.searchsorted(shares, path.progress(time), side="right") - 1)
+    leg, share = path.leg_shares([time])
+    return float(leg[0] + share[0])

@@ -91,10 +91,10 @@ class PathFile(FileModel):
     where it turns in place. Neighbours less than 0.1 mm apart are one, and dense ones are missed by up to a
     quarter of the tolerance."""
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
-    """Waypoints at which the path bends by more, and twice as much as beside, are corners. Where no spline
-    keeps dense ones a third of this will do; by more than 60 degrees, or this, they are in any case."""
+    """Waypoints at which the path bends by more, and twice as much as beside, are corners; by more than 60
+    degrees always. Where no spline keeps dense ones a third of this will do."""
     reconfigurations: Annotated[int, Field(ge=0, le=100)] | None = None
-    """How often a path through `waypoints` may be cut, where no posture leads on."""
+    """How often a path may be cut, where no posture leads on."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop."""
     seconds: SecondsOrAuto | None = None
@@ -274,6 +274,8 @@ class StrokeFile(PathFile):
     """Whether the path is followed from its end to its start."""
     part_of: Slug | None = None
     """In the scenes of plans the name of the stroke of which it is a part."""
+    begins_at: Annotated[float | None, Field(ge=0, le=2000)] = None
+    """How many legs or waypoints are behind it."""
 
     def _check(self) -> None:
         # Its time may be that of all strokes.
@@ -283,6 +285,23 @@ class StrokeFile(PathFile):
     def has_start(self) -> bool:
         """Whether it begins elsewhere than where the tool was before."""
         return self.backwards or super().has_start
+
+    @property
+    def steps(self) -> int:
+        """How many legs it has, or steps between waypoints."""
+        return len(self.legs or self.waypoints or ()) - (not self.legs)
+
+    def can_be_cut(self, behind: float) -> bool:
+        """Whether it can go on from another posture with so many legs, or steps between waypoints, behind.
+
+        Leads, passes, blends and the way back are those of a whole path, as what begins in the tool's frame.
+        """
+        is_whole = self.passes or self.lead_in_m or self.lead_out_m or self.blend_radius_m or self.time_laws
+        if self.raster is not None or self.backwards or is_whole or not 0 < behind < self.steps:
+            return False
+        if any(leg.frame == "tool" for leg in self.legs):
+            return False
+        return behind.is_integer() or (bool(self.legs) and self.legs[int(behind)].has_parts)
 
     def in_shortest_time(self) -> Self | None:
         """Return the stroke in the shortest time within the limits; None where a process has a speed."""

@@ -1,7 +1,8 @@
-"""Rasters, and paths through waypoints, in several parts: strokes of their own."""
+"""Rasters, and paths through legs or waypoints, in several parts: strokes of their own."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -11,8 +12,9 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
+from cmbot.common.poses import rpy_deg
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.toolpath import Raster, RowPiece
+from cmbot.toolpath import Goal, Raster, RowPiece, ToolPath
 
 # Via-points of a part: at least so many for each row and step, and for its ends.
 _PER_LEG, _ENDS = 3, 12
@@ -61,30 +63,57 @@ def raster_parts(
     return parts[::-1] if file.backwards else parts
 
 
-def waypoint_parts(file: StrokeFile, ends: Sequence[int], taken: Collection[str] = ()) -> list[StrokeFile]:
-    """Return the strokes of a path that is cut at waypoints, with shares of its seconds and via-points.
+def path_parts(
+    file: StrokeFile, path: ToolPath, ends: Sequence[float], taken: Collection[str] = ()
+) -> list[StrokeFile]:
+    """Return the strokes of a path that is cut, with shares of its seconds and via-points.
 
     Parameters
     ----------
     file : StrokeFile
-        Through waypoints.
-    ends : sequence of int
-        Numbers of waypoints that end a part and begin the next one, ascending.
+        Through waypoints or legs.
+    path : ToolPath
+        That of the file, timed.
+    ends : sequence of float
+        Where a part ends and the next one begins, ascending: how many waypoints, or legs, are behind it; 2.5
+        is in the middle of the third leg.
     taken : collection of str
         Names of other strokes.
     """
-    if file.waypoints is None or not ends:
-        return [file]
-    covered, parts = waypoint_shares(file), list[StrokeFile]()
-    for k, (begin, end) in enumerate(pairwise((0, *ends, len(file.waypoints) - 1)), start=1):
-        share = float(covered[end] - covered[begin])
-        changes: dict[str, Any] = {"waypoints": file.waypoints[begin : end + 1]}
-        if file.given_time is not None:
-            changes["seconds"] = share * file.given_time
+    parts = list[StrokeFile]()
+    for k, (begin, end) in enumerate(pairwise((0.0, *ends, file.steps)), start=1):
+        share, changes = _part(file, path, begin, end)
         if isinstance(file.via_points, int):
             changes["via_points"] = max(round(share * file.via_points), min(_ENDS, file.via_points))
-        parts.append(file.changed(**changes, name=_name(str(file.name), k, taken), part_of=file.name))
+        changes |= {"name": _name(str(file.name), k, taken), "part_of": file.name, "begins_at": begin}
+        parts.append(file.changed(**changes))
     return parts
+
+
+def _part(file: StrokeFile, path: ToolPath, begin: float, end: float) -> tuple[float, dict[str, Any]]:
+    """The share of a path that is between two places, and what of its file is another there."""
+    if file.waypoints is not None:
+        shares = waypoint_shares(file)[[int(begin), int(end)]]
+        changes: dict[str, Any] = {"waypoints": file.waypoints[int(begin) : int(end) + 1]}
+        share = float(shares[1] - shares[0])
+        if file.given_time is not None:
+            changes["seconds"] = share * file.given_time
+        return share, changes
+    times = [
+        float(path.times_at(int(at), np.array([at % 1]))[0]) if at < file.steps else path.duration
+        for at in (begin, end)
+    ]
+    poses = zip(path.position(times), np.broadcast_to(path.rotation(times), (2, 3, 3)), strict=True)
+    goals = [Goal(xyz=tuple(point.tolist()), rpy_deg=rpy_deg(R)) for point, R in poses]
+    changes = {
+        "legs": tuple(
+            file.legs[k].part(max(begin - k, 0.0), min(end - k, 1.0), goals[1])
+            for k in range(int(begin), math.ceil(end))
+        )
+    }
+    if begin:
+        changes["start_pose"] = goals[0]
+    return (times[1] - times[0]) / path.duration, changes
 
 
 def waypoint_shares(file: StrokeFile) -> FloatArray:
@@ -104,6 +133,7 @@ def rows_alone(file: StrokeFile, raster: Raster) -> StrokeFile:
     """
     left_out = (
         "part_of",
+        "begins_at",
         "blend_radius_m",
         "lead_in_m",
         "lead_out_m",
