@@ -164,9 +164,10 @@ class Measurements(ShortRepr):
     modes: tuple[RingDown, ...] = ()
     rows: tuple[str, ...] = ()
 
-    def key(self, row: int) -> str:
-        """Return what a row is called in messages."""
-        return self.rows[row] if self.rows else f"measurements[{row}]"
+    def key(self, row: int, part: str = "") -> str:
+        """Return what a row, or a part of it, is called in messages."""
+        called = [self.rows[row] if self.rows else f"measurements[{row}]", *[part] * bool(part)]
+        return (", " if self.rows else ".").join(called)
 
 
 def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:

@@ -63,6 +63,9 @@ class RingDown:
     directions : (k, 3)
         In which each mode moves the sensor, of unit length, along its axes x, y, z; NaN of an axis without a
         record.
+    rest : (3,)
+        Mean acceleration in the record's unit, which of a sensor that shows gravity is that; NaN of an axis
+        without a record.
     """
 
     frequencies: FloatArray
@@ -70,6 +73,7 @@ class RingDown:
     damping: FloatArray
     damping_deviations: FloatArray
     directions: FloatArray
+    rest: FloatArray
 
     @classmethod
     def at(cls, frequencies: ArrayLike) -> RingDown:
@@ -82,11 +86,12 @@ class RingDown:
             damping=unknown[:, 0],
             damping_deviations=unknown[:, 0],
             directions=unknown,
+            rest=np.full(3, np.nan),
         )
 
     def of(self, which: BoolArray) -> RingDown:
         """Return some of them (k,)."""
-        return RingDown(**{name: values[which] for name, values in vars(self).items()})
+        return replace(self, **{name: own[which] for name, own in vars(self).items() if name != "rest"})
 
 
 def read_record(path: Path) -> RingDown:
@@ -135,9 +140,10 @@ def read_record(path: Path) -> RingDown:
     if not len(found.frequencies):
         expected = f"a tap, then for some s the free decay of modes below {_HIGHEST:g} Hz, 10 times the noise"
         raise UnusableRecord(str(path), "", "a record with no decay that stands out of its noise", expected)
-    directions = np.full((len(found.frequencies), 3), np.nan)
-    directions[:, [axis is not None for axis in at]] = found.directions
-    return replace(found, directions=directions)
+    # What rings down ends as fast as it began: the mean of its accelerations is that at rest.
+    given = np.full((len(found.frequencies) + 1, 3), np.nan)
+    given[:, [axis is not None for axis in at]] = np.vstack([found.directions, each.mean(axis=0)])
+    return replace(found, directions=given[:-1], rest=given[-1])
 
 
 def _names(axis: str) -> Iterator[str]:

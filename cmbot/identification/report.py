@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from cmbot.identification.estimation import Identification, estimate
 from cmbot.identification.misfit import Part, Slip
 from cmbot.identification.model import DeflectionModel, SagAlong
 from cmbot.identification.problem import MatchedFrequency
+from cmbot.robot import Kinematics
 from cmbot.scene import IdentifiedStiffness
 
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
@@ -35,6 +37,9 @@ _ZERO_M = 1e-12
 _SLIP = "a slip, a wrong sign or axis, the gauge not at robot.tool_frame? Measure again or write null"
 _AS_MODELLED = "the gauge at robot.tool_frame, a base as modelled (guardrail) or prior: {base: 2} in a sheet"
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
+# What a sensor shows of gravity at rest, in g, m/s2 and mm/s2, and by which share it may be off; how far a
+# record's rest may be from gravity in its axes and posture, and how near others are that fit, deg.
+_GRAVITY, _GRAVITY_SHARE, _MOST_OFF_DEG, _FITS_DEG = (1.0, 9.80665, 9806.65), 0.15, 15.0, 5.0
 # Modes of a smaller probability are not told of a frequency.
 _LEAST_SHARE_OF_A_MODE = 0.1
 # The smallest probability that is told, per cent.
@@ -182,8 +187,47 @@ def remarks(found: Identification) -> Iterator[str]:
         yield "Assumes joints without play, which a weight would take up (windup_sd_arcmin: 0)."
 
 
+def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
+    """Yield of records along known axes file, key, angle of their rest to gravity, deg, and what would fit.
+
+    The angle of a record without gravity is NaN.
+    """
+    rows = [(sheet, row) for sheet in found.measurements for row in range(len(sheet.q))]
+    R_WT = Kinematics(found.modelled.robot).tool_poses(np.array([sheet.q[row] for sheet, row in rows]))[1]
+    up = -found.modelled.model.gravity.linear / np.linalg.norm(found.modelled.model.gravity.linear)
+    along = {"tool": up @ R_WT, "W": np.tile(up, (len(rows), 1))}
+    for number, (sheet, row) in enumerate(rows):
+        axes, modes = sheet.setup.record_axes, sheet.modes[row : row + 1]
+        if axes is None or not modes or not len(modes[0].frequencies):
+            continue
+        size, key = float(np.linalg.norm(modes[0].rest)), sheet.key(row, "record")
+        if not any(abs(size / g - 1) < _GRAVITY_SHARE for g in _GRAVITY):
+            yield sheet.source, key, np.nan, ""
+            continue
+        rest, other = modes[0].rest / size, "W" if axes == "tool" else "tool"
+        tried = [(f"with record_axes: {other} it fits", rest @ along[other][number])]
+        tried += [
+            (f"it fits the posture of {of.key(k)}", rest @ gravity)
+            for (of, k), gravity in zip(rows, along[axes], strict=True)
+        ]
+        for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
+            each = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
+            fits = f"with the sensor's {each} in place of x, y, z it fits"
+            tried.append((fits, rest[list(order)] * signs @ along[axes][number]))
+        # Of those that are alike the simplest.
+        words, cosine = max(tried, key=lambda each: round(each[1], 2))
+        fits = words if cosine > np.cos(np.radians(_FITS_DEG)) else "another posture or mounting?"
+        yield sheet.source, key, float(np.degrees(np.arccos(rest @ along[axes][number]))), fits
+
+
 def _misfits(found: Identification) -> Iterator[str]:
     """What does not fit, and which errors are larger for it."""
+    rests = list(_rests(found))
+    for source, key, off, fits in rests:
+        if off > _MOST_OFF_DEG:
+            yield f"{source}: {key}: its mean is {off:.0f} deg away from gravity along its record_axes; {fits}."
+    if still := [f"{source}: {key}" for source, key, off, _ in rests if np.isnan(off)]:
+        yield f"Without gravity along x, y and z in it, axes and posture are as stated: {', '.join(still)}."
     for part in found.parts:
         if part.scale == 1.0:
             continue
@@ -225,7 +269,7 @@ def _in_words(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
         axes = [axis for axis, own in zip("xyz", seen, strict=True) if own]
         got, about = (_by_axis(axes, 1e3 * each) for each in (given.deflection[row, seen], slip.expected))
     away = f"by the others, {slip.deviations:.3g} standard deviations of their scatter away"
-    return given.source, f"{given.key(row)}{', ' if given.rows else '.'}{kind}", got, f"about {about} {away}"
+    return given.source, given.key(row, kind), got, f"about {about} {away}"
 
 
 def _by_axis(axes: Sequence[str], values: FloatArray) -> str:
@@ -238,9 +282,13 @@ def require_fit(found: Identification) -> None:
     Raises
     ------
     InputError
-        A row is far from what the others predict, all of them fit several times worse than stated, or the arm
-        is far from its model.
+        A record's rest is not gravity along its axes, a row is far from what the others predict, all of them
+        fit several times worse than stated, or the arm is far from its model.
     """
+    for source, key, off, fits in _rests(found):
+        if off > _MOST_OFF_DEG:
+            got = f"a mean {off:.0f} deg away from gravity in this posture along its record_axes"
+            raise InputError(source, key, got, f"less than {_MOST_OFF_DEG:g}: {fits}; or {_ACCEPT}")
     if wrong := [slip for slip in found.slips if slip.significant]:
         (source, key, got, expected), *others = (_in_words(found, slip) for slip in wrong)
         also = "".join(f"; nor does {other[1]} fit" for other in others)

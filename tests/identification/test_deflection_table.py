@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from command_line import run
 from small_scenes import short_scene
@@ -92,6 +93,48 @@ def test_frequencies_and_the_modes_they_were_given_to_are_printed(
     assert "Damping of the modes in the records: " in outcome.out
     assert "standard deviation 0.0 %" not in outcome.out
     assert "% from mode to mode" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("axes", "posture", "order", "size", "told"),
+    [
+        ("tool", 0.0, [0, 1, 2], 9.81, ""),
+        ("tool", 0.0, [0, 1, 2], 9807.0, ""),
+        ("W", 0.0, [0, 1, 2], 9.81, "deg away from gravity in this posture along its record_axes, expected"),
+        ("W", 0.0, [0, 1, 2], 9.81, "less than 15: with record_axes: tool it fits"),
+        ("tool", 0.4, [0, 1, 2], 1.0, "line 3, record: got a mean"),
+        ("tool", 0.4, [0, 1, 2], 9807.0, "it fits the posture of line 2"),
+        ("tool", 0.0, [1, 0, 2], 9.81, "with the sensor's y, x, z in place of x, y, z it fits"),
+        ("tool", 0.0, [1, 0, 2], 0.05, ""),
+    ],
+)
+def test_a_records_rest_is_gravity_in_its_posture_and_axes(
+    axes: str,
+    posture: float,
+    order: list[int],
+    size: float,
+    told: str,
+    scene: str,
+    tmp_path: Path,
+    rng: np.random.Generator,
+) -> None:
+    """The sensor is along the tool, in the posture of line 2; rows name other axes or postures, too."""
+    arm = measured_arm(short_scene())
+    model, data = arm.robot.model, arm.robot.model.createData()
+    pin.framesForwardKinematics(model, data, POSTURE)
+    up = data.oMf[arm.robot.tool_frame_id].rotation.T @ [0.0, 0.0, 1.0]
+    slowest = float(arm_modes(arm, POSTURE).frequencies[0])
+    tap = oscillations([(slowest, 0.02, (0.1 * size * up).tolist())], 1e-3 * size, rng)
+    write(tmp_path / "tap.csv", (tap + size * up)[:, order])
+    rows = [row("tap.csv", axes, turned=posture)] + [row("", axes)] * (posture > 0)
+    path = table(tmp_path, f"{JOINTS},record,record_axes", *rows[::-1])
+    outcome = run("identify", scene, "--table", path)
+    assert outcome.status == (2 if told else 0), outcome.err
+    assert told in outcome.err
+    assert ("Without gravity along x, y and z in it" in outcome.out) == (size < 0.5)
+    accepted = run("identify", scene, "--table", path, "--accept-misfit", "--force")
+    assert accepted.status == 0, accepted.err
+    assert ("deg away from gravity along its record_axes; " in accepted.out) == bool(told)
 
 
 def test_a_frequency_of_no_mode_alone_tells_nothing(
