@@ -29,7 +29,7 @@ class IdentifyCommand(Writing):
     """
 
     sources: tuple[str, ...] = argument(
-        "Files of measurements; with --propose a scene, or those files for more postures.",
+        "Files of measurements; with --propose or --table a scene, or those files, too.",
         "FILE",
         complete=complete_scene,
     )
@@ -55,15 +55,18 @@ class IdentifyCommand(Writing):
             return
         named = self.sources if self.table is None else (str(self.table),)
         target = self.output or Path(f"{Path(named[-1]).with_suffix('')}.stiffness.yaml")
-        sheets = self.sources if self.table is None else self._with_table(self.table)
-        found = cmbot.identify(*sheets, accept_misfit=self.accept_misfit)
+        found = cmbot.identify(*self._sheets(), accept_misfit=self.accept_misfit)
         names = ", ".join(Path(source).name for source in named)
         text = cmbot.identification.stiffness_text(found.stiffness, names)
         self.write(target, text, lambda: _summary(found), lambda: _print_identification(found, target))
 
-    def _with_table(self, table: Path) -> tuple[Any, ...]:
+    def _sheets(self) -> tuple[Any, ...]:
         """The sheets that are given, and those of a table."""
-        told = cmbot.identification
+        told, table = cmbot.identification, self.table
+        if given := [source for source in self.sources if source.lower().endswith(".csv")]:
+            raise InputError(given[0], "", "a table", f"cmbot identify SCENE --table {given[0]}")
+        if table is None:
+            return self.sources
         sheets = [source for source in self.sources if told.is_sheet(source)]
         scenes = [source for source in self.sources if source not in sheets]
         if len(scenes) > 1:
@@ -76,11 +79,13 @@ class IdentifyCommand(Writing):
     def _propose(self, number: int) -> None:
         """Propose postures, and write the sheet."""
         sources, job = self.sources, self.job
-        known, setup = None, cmbot.identification.MeasuringSetup()
-        if cmbot.identification.is_sheet(sources[0]):
-            known = cmbot.identify(*sources)
+        known, setup, sheets = None, cmbot.identification.MeasuringSetup(), self._sheets()
+        if self.table is not None or cmbot.identification.is_sheet(sources[0]):
+            known = cmbot.identify(*sheets, accept_misfit=self.accept_misfit)
             scene, setup = known.measurements[-1].scene, known.measurements[-1].setup
-            called, stem = scene.source, f"{sources[0].removesuffix('.yaml')}_{len(sources) + 1}"
+            sources = tuple(each for each in sources if each in sheets)
+            called, files = scene.source, [*sources, *[self.table] * (self.table is not None)]
+            stem = f"{Path(self.table or sources[0]).with_suffix('')}_{len(files) + 1}"
         elif len(sources) > 1:
             raise InputError(sources[1], "", "a second file", "one scene, or files of measurements")
         else:
@@ -99,8 +104,10 @@ class IdentifyCommand(Writing):
 
         def say() -> None:
             print_lines(cmbot.identification.proposal_remarks(made))
-            sheets = one_line(" ".join((*(sources if made.measured else ()), str(target))))
-            out.print(f"Sheet to fill in: {one_line(target)}; then: cmbot identify {sheets}")
+            words = [*(sources if known else ()), str(target)]
+            words += [] if self.table is None else ["--table", str(self.table)]
+            then = one_line(" ".join(words))
+            out.print(f"Sheet to fill in: {one_line(target)}; then: cmbot identify {then}")
 
         self.write(target, made.sheet(_from(target, called)), lambda: _promised(made), say)
 

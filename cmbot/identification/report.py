@@ -225,7 +225,8 @@ def _misfits(found: Identification) -> Iterator[str]:
     rests = list(_rests(found))
     for source, key, off, fits in rests:
         if off > _MOST_OFF_DEG:
-            yield f"{source}: {key}: its mean is {off:.0f} deg away from gravity along its record_axes; {fits}."
+            away = f"its mean is {off:.0f} deg away from gravity along its record_axes"
+            yield f"{source}: {key}: {away}; {fits}."
     if still := [f"{source}: {key}" for source, key, off, _ in rests if np.isnan(off)]:
         yield f"Without gravity along x, y and z in it, axes and posture are as stated: {', '.join(still)}."
     for part in found.parts:

@@ -124,8 +124,12 @@ def test_what_it_cannot_use_is_refused(sheet: Path) -> None:
     assert "--weight: got 0.0, expected more than 0" in light.err
 
 
-def test_a_table_of_deflections_says_what_its_sheets_do(sheet: Path, tmp_path: Path) -> None:
+def test_a_table_of_deflections_says_what_its_sheets_do(
+    sheet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of two weights, in other units, with the joints in another order, and only along two axes."""
+    monkeypatch.setattr(design, "_MAX_CANDIDATES", 40)
+    monkeypatch.setattr(design, "_REFINED", ())
     rows = re.findall(
         r"posture_deg: \[([^\]]*)\][^#]*deflection_mm: [^#]*# about (.*)", sheet.read_text(encoding="utf-8")
     )
@@ -158,6 +162,14 @@ def test_a_table_of_deflections_says_what_its_sheets_do(sheet: Path, tmp_path: P
     told = run("identify", scene, "--table", table, "--gauge", 0.3, "--accept-misfit", "--force")
     assert "Assumes a gauge's error of 0.3 mm (gauge_sd_mm)" in told.out
     assert "Sag along the job" in told.out
+    # More postures beside those of the table, not the first ones of the scene.
+    more = run("identify", scene, "--table", table, "--propose", 1, "--accept-misfit")
+    assert more.status == 0, more.err
+    assert "mm RMS as 3 postures told" in more.out
+    assert f"then: cmbot identify {tmp_path / 'deflections_2.yaml'} --table {table}" in more.out
+    for words in ((), ("--propose", 1)):
+        alone = run("identify", table, *words)
+        assert f"got a table, expected cmbot identify SCENE --table {table}" in alone.err
     # Beside a sheet, whose scene it is of.
     both = run("identify", filled(sheet), "--table", table, "--accept-misfit", "--force")
     assert both.status == 0, both.err
