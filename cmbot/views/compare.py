@@ -85,7 +85,7 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
         _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         title="Plans compared",
         verdict="".join(verdicts),
-        cards="".join(_cards(keys, plans)),
+        cards="".join(_cards(keys, plans, alike=not said)),
         key=_key(keys, plans),
         bending=" hidden",
         shares=SHARES if len(plans) == _MAX_SHARE_CURVES else "",
@@ -112,10 +112,12 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
             told.append(f"in {name} {', '.join(found)}")
     if not told:
         return ()
+    measured = next((name for name, each in plans.items() if each.scene.identified is not None), None)
+    judge = first if measured is None else f"{measured}, which was measured,"
     return (
         f"Beside {first}, {'; '.join(told)}.",
         "Torque, sag and sway may differ by that alone: cmbot evaluate SCENE --motion DIR, the scene of "
-        f"{first} and another's folder, tells more.",
+        f"{judge} and another's folder, tells more.",
     )
 
 
@@ -251,8 +253,8 @@ def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> s
     return f'<details class="verdict {state}"{" open" if whole else ""}>{words}'
 
 
-def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> Iterator[str]:
-    """Yield what decides between the plans."""
+def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan], *, alike: bool) -> Iterator[str]:
+    """Yield what decides between the plans; of the tool that is its place where they are of one arm alone."""
     base = next(iter(plans.values())).scene.base_name
     cards: tuple[tuple[str, str, Callable[[Plan], float]], ...] = (
         (f"Peak {base} torque, whole job", "Nm", lambda plan: plan.job.figures.peak_guardrail_torque),
@@ -264,22 +266,25 @@ def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> Iterator[str]:
     for title, unit, of in cards:
         values = [of(plan) for plan in plans.values()]
         if np.isfinite(values).all():
-            yield _card(keys, title, unit, values, most=title == "Smallest clearance")
+            ranked = alike or title != "Tool within"
+            yield _card(keys, title, unit, values, most=title == "Smallest clearance", ranked=ranked)
 
 
-def _card(keys: Mapping[str, str], title: str, unit: str, values: list[float], most: bool = False) -> str:
-    """A figure of all plans, the least or the `most` in bold, and by how much it is ahead of the next."""
+def _card(
+    keys: Mapping[str, str], title: str, unit: str, values: list[float], *, most: bool, ranked: bool
+) -> str:
+    """A figure of all plans, where they are `ranked` the best in bold and how far it is ahead of the next."""
     ordered = sorted(values, reverse=most)
     shown, best = [f"{value:.1f}" for value in values], f"{ordered[0]:.1f}"
     ahead = [name for name, text in zip(keys.values(), shown, strict=True) if text == best]
-    detail = "the same in all"
-    if len(ahead) < len(shown):
+    detail = "the same in all" if ranked else "not ranked: of unlike arms"
+    if ranked := ranked and len(ahead) < len(shown):
         by = abs(ordered[0] - ordered[len(ahead)])
         then = " than the next" if len(shown) > len(ahead) + 1 else ""
         detail = f"{', '.join(ahead)}: {by:.1f} {unit} {'more' if most else 'less'}{then}"
     texts = []
     for (key, name), text in zip(keys.items(), shown, strict=True):
-        tag = "b" if text == best and len(ahead) < len(shown) else "span"
+        tag = "b" if text == best and ranked else "span"
         texts.append(f'<{tag} class="{key}" title="{escape(name)}">{text}</{tag}>')
     first = f'<article class="card each"><h2>{escape(title)}</h2><p>{" ".join(texts)} {unit}</p>'
     return f"{first}<p>{escape(detail)}</p></article>"

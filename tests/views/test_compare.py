@@ -21,6 +21,7 @@ from cmbot.collision import Box, Obstacle
 from cmbot.common.errors import InputError
 from cmbot.common.poses import pose
 from cmbot.planning import Plan
+from cmbot.scene import IdentifiedStiffness
 from cmbot.simulation import Tracking
 from cmbot.views import compare_page, unlike
 
@@ -203,7 +204,19 @@ def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, 
     assert "the payload, kg, is 2 in place of 0" in said
     assert "of the links nothing bends" in said
     assert "cmbot evaluate SCENE --motion DIR, the scene of <one>" in todo
+    # The stiffness that was measured judges the other's motion.
+    link = {"name": "link_1", "modelled": 1e4, "factor": 1.0}
+    known = IdentifiedStiffness.model_validate({"links": (link,), "covariance": ((0.01,),)})
+    measured = replace(soft, scene=soft.scene.model_copy(update={"identified": known}))
+    assert (
+        "the scene of soft, which was measured, and another's folder"
+        in unlike({"one": plan, "soft": measured})[1]
+    )
     page = compare_page({"<one>": plan, "soft": soft})
+    for other, ranked in ((plan, True), (soft, False)):
+        (card,) = re.findall(r"<h2>Tool within</h2>.*?</article>", compare_page({"one": plan, "two": other}))
+        assert ("not ranked" in card) != ranked, card
+        assert "<b " not in card
     assert 0 < page.index("Beside &lt;one&gt;, in soft") < page.index("Every promise")
     moved = replace(plan, scene=plan.scene.changed(guardrail={"foot": {"offset_m": 0.3}}))
     assert unlike({"one": plan, "moved": moved}) == ()
