@@ -125,7 +125,8 @@ def estimate(
     try:
         return _estimate(sheets, modelled)
     except TooSoftError as error:
-        expected = f"those of an arm that carries itself and {sheets[0].setup.weight_kg:g} kg"
+        heaviest = max(sheet.setup.weight_kg for sheet in sheets)
+        expected = f"weight_kg in kg, not g, of an arm that carries itself and {heaviest:g} kg"
         raise InputError(sheets[0].source, "measurements", error.got, expected) from error
 
 

@@ -9,19 +9,22 @@ from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
+from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification, estimate
-from cmbot.identification.misfit import Part, Slip
+from cmbot.identification.misfit import Part, Slip, parts, rescaled
 from cmbot.identification.model import DeflectionModel, SagAlong
-from cmbot.identification.problem import MatchedFrequency
-from cmbot.robot import Kinematics
+from cmbot.identification.problem import MatchedFrequency, Problem
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import IdentifiedStiffness
 
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
@@ -210,6 +213,14 @@ def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
             (f"it fits the posture of {of.key(k)}", rest @ gravity)
             for (of, k), gravity in zip(rows, along[axes], strict=True)
         ]
+        tried += [
+            (
+                f"with robot.tool_frame: {' or '.join(names)} it fits",
+                rest @ (along[axes][number] @ X_TF.rotation),
+            )
+            for names, X_TF in _other_frames(found.modelled.robot, "rotation")
+            if axes == "tool"
+        ]
         for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
             each = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
             fits = f"with the sensor's {each} in place of x, y, z it fits"
@@ -218,6 +229,19 @@ def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
         words, cosine = max(tried, key=lambda each: round(each[1], 2))
         fits = words if cosine > np.cos(np.radians(_FITS_DEG)) else "another posture or mounting?"
         yield sheet.source, key, float(np.degrees(np.arccos(rest @ along[axes][number]))), fits
+
+
+def _other_frames(
+    robot: Robot, differ: Literal["rotation", "translation"]
+) -> Iterator[tuple[list[str], Any]]:
+    """Yield other frames of a robot's last link that differ so: names of those alike, pose in the tool's."""
+    tool, alike = robot.model.frames[robot.tool_frame_id], dict[bytes, tuple[list[str], Any]]()
+    for frame in robot.model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == tool.parentJoint:
+            X_TF = tool.placement.actInv(frame.placement)
+            key = (getattr(X_TF, differ).round(6) + 0.0).tobytes()
+            alike.setdefault(key, ([], X_TF))[0].append(frame.name)
+    yield from (each for each in alike.values() if tool.name not in each[0])
 
 
 def _misfits(found: Identification) -> Iterator[str]:
@@ -293,7 +317,9 @@ def require_fit(found: Identification) -> None:
     if wrong := [slip for slip in found.slips if slip.significant]:
         (source, key, got, expected), *others = (_in_words(found, slip) for slip in wrong)
         also = "".join(f"; nor does {other[1]} fit" for other in others)
-        todo = "a slip, another posture, the weight still on? Measure again or leave it out"
+        todo = (
+            "a slip, another posture, the weight still on, a wrong weight_kg? Measure again or leave it out"
+        )
         if wrong[0].label.kind == "deflection_mm":
             todo = _mistaken(found, wrong[0]) or _SLIP
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
@@ -301,12 +327,14 @@ def require_fit(found: Identification) -> None:
         source, key = found.measurements[0].source, "measurements"
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
-            expected = f"deflections in mm by weight_kg, {_AS_MODELLED}"
+            expected = f"deflections in mm by weight_kg in kg, not g, {_AS_MODELLED}"
         else:
             got = f"{part.kind} that fit {part.scale:.0f} times worse than stated"
-            expected = f"right units, axes, postures, true gauge_sd_mm, windup_sd_arcmin, {_AS_MODELLED}"
+            expected = (
+                f"right units (mm; kg, not g), axes, postures, gauge_sd_mm, windup_sd_arcmin, {_AS_MODELLED}"
+            )
         if part.kind == "frequencies_hz":
-            expected = "records of this arm in these postures, without the weight, and true errors"
+            expected = "records of this arm in these postures, without the weight, true weight_kg and errors"
             far = max((each for each in found.matched if each.modes), key=_away)
             sheet = found.measurements[far.label.sheet]
             source, key = sheet.source, sheet.key(far.label.row)
@@ -338,7 +366,25 @@ def _mistaken(found: Identification, slip: Slip | None = None) -> str:
             wrong, before = (sum(slip.significant for slip in each.slips) for each in (trial, found))
             if not any(map(_plain, trial.parts)) and (wrong < before or not wrong):
                 return words
-    return ""
+    robot = found.modelled.robot
+    fit = (names for names, _ in _other_frames(robot, "translation") if _fits_at(found, names[0]))
+    places = [name for names in fit for name in names]
+    return (
+        f"the gauge at robot.tool_frame ({robot.tool_frame}): at {' or '.join(places)} it fits"
+        if places
+        else ""
+    )
+
+
+def _fits_at(found: Identification, frame: str) -> bool:
+    """Whether deflections fit as those of another frame of the last link."""
+    arm, of = found.modelled, found.measurements
+    with suppress(InputError):
+        robot = replace(arm.robot, tool_frame=frame)
+        problem = Problem(of, elastic_arm(robot, arm.base, arm.options))
+        now = parts(problem, rescaled(problem, problem.first(), only_prior=True))
+        return all(part.probability > _PLAIN_MISFIT for part in now if part.kind == "deflection_mm")
+    return False
 
 
 def _off(measured: FloatArray, expected: FloatArray) -> float:

@@ -1,6 +1,7 @@
 """Tables of measurements say what sheets do: weights, gauges and records row by row."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,16 @@ from small_scenes import short_scene
 from test_records import oscillations, write
 
 from cmbot.common.errors import InputError
+from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.modes import arm_modes
-from cmbot.identification import Measurements, identify, measured_arm, read_deflections, read_measurements
+from cmbot.identification import (
+    Measurements,
+    MeasuringSetup,
+    identify,
+    measured_arm,
+    read_deflections,
+    read_measurements,
+)
 from cmbot.identification.model import DeflectionModel
 
 POSTURE = np.array(short_scene().posture)
@@ -221,3 +230,22 @@ def test_units_signs_and_exchanged_columns_are_recognised(
         identify(*read_deflections(path, scene))
     assert told in str(refused.value)
     assert str(path) in str(refused.value)
+
+
+def test_a_gauge_at_another_frame_of_the_last_link_is_recognised(scene: str, tmp_path: Path) -> None:
+    """A weight in g is one, too."""
+    q = POSTURE + np.random.default_rng(5).uniform(-0.6, 0.6, (5, 7))
+    arm = measured_arm(short_scene())
+    at_link = elastic_arm(replace(arm.robot, tool_frame="link_7"), arm.base)
+    model = DeflectionModel(at_link, MeasuringSetup(), q)
+    moved = 1e3 * model.at(np.zeros(model.parameters.count))[0]
+    rows = [
+        ",".join(map(str, [*np.degrees(each), 5, *own])) for each, own in zip(q, moved.tolist(), strict=True)
+    ]
+    path = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz", *rows)
+    with pytest.raises(InputError) as refused:
+        identify(*read_deflections(path, scene, gauge_sd_mm=0.01))
+    assert f"the gauge at robot.tool_frame ({arm.robot.tool_frame}): at link_7 " in str(refused.value)
+    path = table(tmp_path, f"{JOINTS},kg,dz", row(5000, -3))
+    with pytest.raises(InputError, match="kg, not g"):
+        identify(*read_deflections(path, scene))
