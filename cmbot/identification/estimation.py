@@ -221,7 +221,8 @@ def _measured(
         for ratio in [(each.damping, each.damping_deviation)]
     ]
     kinds = [dict(zip(("kind", "count", "residual"), each, strict=True)) for each in readings if each[1]]
-    return {"sheets": [Path(each.source).name for each in sheets], "readings": kinds, "modes": modes}
+    names = list(dict.fromkeys(Path(each.source).name for each in sheets))
+    return {"sheets": names, "readings": kinds, "modes": modes}
 
 
 def _stiffness(

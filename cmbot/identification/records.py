@@ -66,6 +66,8 @@ class RingDown:
     rest : (3,)
         Mean acceleration in the record's unit, which of a sensor that shows gravity is that; NaN of an axis
         without a record.
+    source : str
+        Name of the record's file; empty: there is none.
     """
 
     frequencies: FloatArray
@@ -74,6 +76,7 @@ class RingDown:
     damping_deviations: FloatArray
     directions: FloatArray
     rest: FloatArray
+    source: str = ""
 
     @classmethod
     def at(cls, frequencies: ArrayLike) -> RingDown:
@@ -91,7 +94,8 @@ class RingDown:
 
     def of(self, which: BoolArray) -> RingDown:
         """Return some of them (k,)."""
-        return replace(self, **{name: own[which] for name, own in vars(self).items() if name != "rest"})
+        kept = {name: own for name, own in vars(self).items() if name not in ("rest", "source")}
+        return replace(self, **{name: own[which] for name, own in kept.items()})
 
 
 def read_record(path: Path) -> RingDown:
@@ -143,7 +147,7 @@ def read_record(path: Path) -> RingDown:
     # What rings down ends as fast as it began: the mean of its accelerations is that at rest.
     given = np.full((len(found.frequencies) + 1, 3), np.nan)
     given[:, [axis is not None for axis in at]] = np.vstack([found.directions, each.mean(axis=0)])
-    return replace(found, directions=given[:-1], rest=given[-1])
+    return replace(found, directions=given[:-1], rest=given[-1], source=path.name)
 
 
 def _names(axis: str) -> Iterator[str]:

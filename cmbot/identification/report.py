@@ -47,7 +47,7 @@ _GRAVITY, _GRAVITY_SHARE, _MOST_OFF_DEG, _FITS_DEG = (1.0, 9.80665, 9806.65), 0.
 _LEAST_SHARE_OF_A_MODE = 0.1
 # The smallest probability that is told, per cent.
 _LEAST_SHARE = 0.01
-MODE_HEADINGS = ("measured in", "Hz", "damping, %", "sd, %", "mode, without it")
+MODE_HEADINGS = ("measured in", "Hz", "damping, %", "its sd, %", "mode, Hz predicted without it")
 """Of the columns of `mode_rows`."""
 
 _BASE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
@@ -113,7 +113,8 @@ def mode_rows(found: Identification) -> Iterator[tuple[str, ...]]:
         ratios = (each.damping, each.damping_deviation)
         damping = (f"{100 * ratio:.{digits}f}" for ratio, digits in zip(ratios, (2, 3), strict=True))
         told = (text if np.isfinite(each.damping) else "" for text in damping)
-        where = f"{Path(sheet.source).name}: {sheet.key(each.label.row)}"
+        record, key = sheet.modes[each.label.row].source, sheet.key(each.label.row)
+        where = f"{record} ({key})" if record else f"{Path(sheet.source).name}: {key}"
         yield where, f"{each.frequency:.4g}", *told, _either(each) or "none is near"
 
 
@@ -121,7 +122,7 @@ def _either(match: MatchedFrequency) -> str:
     """Modes and the frequencies predicted of them; of those that mix all numbers, and one frequency."""
     kept = [k for k, share in enumerate(match.probabilities) if share > _LEAST_SHARE_OF_A_MODE]
     if match.told_apart:
-        numbers = " and ".join(str(match.modes[k]) for k in kept)
+        numbers = " mixed with ".join(str(match.modes[k]) for k in kept)
         return f"{numbers} ({match.predicted[0]:.4g} Hz)" if kept else ""
     return " or ".join(f"{match.modes[k]} ({match.predicted[k]:.4g} Hz)" for k in kept)
 
@@ -160,7 +161,11 @@ def remarks(found: Identification) -> Iterator[str]:
         if not each.modes:
             yield f"{key} is left out, as no mode of the arm is within 30 % of it."
         elif not each.told_apart:
-            tells = " record_axes may tell." if sheet.setup.record_axes is None else ""
+            tells = (
+                " record_axes (tool or W) in the sheet or table may tell."
+                if sheet.setup.record_axes is None
+                else ""
+            )
             yield f"{key} may be of mode {_either(each)}: not told apart, it counts for their mean.{tells}"
     if found.before is not None and found.after is not None:
         yield (
@@ -173,7 +178,7 @@ def remarks(found: Identification) -> Iterator[str]:
     if unknown:
         yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
     if any(row[-1] and row[0].startswith(_SIDEWAYS) for row in identified_rows(found)):
-        yield "A hanging weight hardly moves a base along x, y or about z; natural frequencies tell more."
+        yield "A hanging weight hardly moves a base along x, y or about z; taps in four postures or more do."
     if (damping := found.stiffness.damping) is not None:
         yield (
             f"Damping of the modes in the records: {100 * damping.ratio:.2f} % of critical, standard "

@@ -93,7 +93,7 @@ def test_frequencies_and_the_modes_they_were_given_to_are_printed(
     write(tmp_path / "tap.csv", oscillations([(slowest, 0.02, [1.0, 0.2, 0.1])], 0.01, rng))
     outcome = run("identify", scene, "--table", table(tmp_path, f"{JOINTS},record", row("tap.csv")))
     assert outcome.status == 0, outcome.err
-    (told,) = (line.split() for line in outcome.out.splitlines() if line.startswith("t.csv: line 2  "))
+    (told,) = (line.split() for line in outcome.out.splitlines() if line.startswith("tap.csv (line 2)  "))
     frequency, damping, deviation = map(float, told[3:6])
     assert frequency == pytest.approx(slowest, rel=5e-3)
     assert 0 < deviation < 0.1

@@ -115,7 +115,7 @@ def test_without_the_sensors_axes_near_modes_are_not_told_apart(
         assert not any(match.told_apart for match in found.matched)
         told = " ".join(remarks(found))
         assert "taps: measurements[0]: 1.3" in told or "taps: measurements[0]: 1.6" in told
-        assert "not told apart, it counts for their mean. record_axes may tell." in told
+        assert "not told apart, it counts for their mean. record_axes (tool or W)" in told
         for row, match in zip(mode_rows(found), found.matched, strict=True):
             assert row[:2] == ("taps: measurements[0]", f"{match.frequency:.4g}")
             assert " or " in row[-1]
