@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -212,41 +212,28 @@ def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
         if not any(abs(size / g - 1) < _GRAVITY_SHARE for g in _GRAVITY):
             yield sheet.source, key, np.nan, ""
             continue
-        rest, other = modes[0].rest / size, "W" if axes == "tool" else "tool"
+        gravity, rest, other = along[axes][number], modes[0].rest / size, "W" if axes == "tool" else "tool"
         tried = [(f"with record_axes: {other} it fits", rest @ along[other][number])]
-        tried += [
-            (f"it fits the posture of {of.key(k)}", rest @ gravity)
-            for (of, k), gravity in zip(rows, along[axes], strict=True)
-        ]
-        tried += [
-            (
-                f"with robot.tool_frame: {' or '.join(names)} it fits",
-                rest @ (along[axes][number] @ X_TF.rotation),
-            )
-            for names, X_TF in _other_frames(found.modelled.robot, "rotation")
-            if axes == "tool"
-        ]
+        for (of, k), elsewhere in zip(rows, along[axes], strict=True):
+            tried.append((f"it fits the posture of {of.key(k)}", rest @ elsewhere))
+        for name, X_TF in _other_frames(found.modelled.robot) * (axes == "tool"):
+            tried.append((f"with robot.tool_frame: {name} it fits", rest @ (gravity @ X_TF.rotation)))
         for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
             each = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
             fits = f"with the sensor's {each} in place of x, y, z it fits"
-            tried.append((fits, rest[list(order)] * signs @ along[axes][number]))
+            tried.append((fits, rest[list(order)] * signs @ gravity))
         # Of those that are alike the simplest.
         words, cosine = max(tried, key=lambda each: round(each[1], 2))
         fits = words if cosine > np.cos(np.radians(_FITS_DEG)) else "another posture or mounting?"
-        yield sheet.source, key, float(np.degrees(np.arccos(rest @ along[axes][number]))), fits
+        yield sheet.source, key, float(np.degrees(np.arccos(min(1.0, rest @ gravity)))), fits
 
 
-def _other_frames(
-    robot: Robot, differ: Literal["rotation", "translation"]
-) -> Iterator[tuple[list[str], Any]]:
-    """Yield other frames of a robot's last link that differ so: names of those alike, pose in the tool's."""
-    tool, alike = robot.model.frames[robot.tool_frame_id], dict[bytes, tuple[list[str], Any]]()
-    for frame in robot.model.frames:
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == tool.parentJoint:
-            X_TF = tool.placement.actInv(frame.placement)
-            key = (getattr(X_TF, differ).round(6) + 0.0).tobytes()
-            alike.setdefault(key, ([], X_TF))[0].append(frame.name)
-    yield from (each for each in alike.values() if tool.name not in each[0])
+def _other_frames(robot: Robot) -> list[tuple[str, Any]]:
+    """Frames of a robot's last link, the last first, and their poses in the tool's."""
+    tool = robot.model.frames[robot.tool_frame_id]
+    links = (each for each in robot.model.frames if each.type == pin.FrameType.BODY)
+    mine = [each for each in links if each.parentJoint == tool.parentJoint]
+    return [(each.name, tool.placement.actInv(each.placement)) for each in reversed(mine)]
 
 
 def _misfits(found: Identification) -> Iterator[str]:
@@ -372,8 +359,8 @@ def _mistaken(found: Identification, slip: Slip | None = None) -> str:
             if not any(map(_plain, trial.parts)) and (wrong < before or not wrong):
                 return words
     robot = found.modelled.robot
-    fit = (names for names, _ in _other_frames(robot, "translation") if _fits_at(found, names[0]))
-    places = [name for names in fit for name in names]
+    frames = (name for name, X_TF in _other_frames(robot) if np.linalg.norm(X_TF.translation) > _ZERO_M)
+    places = [name for name in frames if _fits_at(found, name)]
     return (
         f"the gauge at robot.tool_frame ({robot.tool_frame}): at {' or '.join(places)} it fits"
         if places

@@ -245,7 +245,9 @@ def test_a_gauge_at_another_frame_of_the_last_link_is_recognised(scene: str, tmp
     path = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz", *rows)
     with pytest.raises(InputError) as refused:
         identify(*read_deflections(path, scene, gauge_sd_mm=0.01))
-    assert f"the gauge at robot.tool_frame ({arm.robot.tool_frame}): at link_7 " in str(refused.value)
+    assert f"the gauge at robot.tool_frame ({arm.robot.tool_frame}): at tool or link_7 it fits" in str(
+        refused.value
+    )
     path = table(tmp_path, f"{JOINTS},kg,dz", row(5000, -3))
     with pytest.raises(InputError, match="kg, not g"):
         identify(*read_deflections(path, scene))
