@@ -46,6 +46,7 @@ from cmbot.identification.report import (
     HEADINGS as HEADINGS,
     MODE_HEADINGS as MODE_HEADINGS,
     identified_rows as identified_rows,
+    is_unseen as is_unseen,
     mode_rows as mode_rows,
     proposal_remarks as proposal_remarks,
     remarks as remarks,

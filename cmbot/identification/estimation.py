@@ -163,7 +163,12 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         slips=wrong,
         matched=problem.matched,
         stiffness=_stiffness(
-            sheets, modelled, arm, mean, joint[:p, :p], _measured(sheets, stated, problem.matched)
+            sheets,
+            modelled,
+            arm,
+            mean,
+            joint[:p, :p],
+            _measured(sheets, stated, problem.matched) | {"prior_sd": problem.prior.tolist()},
         ),
         job=job,
         before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),

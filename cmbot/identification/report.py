@@ -59,19 +59,26 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
 
     Name, modelled, identified, factor, standard deviation now and before, and whether it was told at all.
     """
-    first, C, Sigma = len(found.parameters.springs), None, np.diag(found.prior**2)
-    before = np.sqrt(np.diag(Sigma))[:first]
-    if found.parameters.has_base:
-        C = found.parameters.factor @ found.parameters.factor.T
-        before = np.hstack([before, _base_deviations(C, Sigma[first:, first:])])
-    for known, was in zip(stiffness_rows(found.stiffness, C), before, strict=True):
-        yield _row(*known, was)
+    L = found.parameters.factor if found.parameters.has_base else None
+    for name, modelled, identified, now, before in stiffness_rows(
+        found.stiffness, L if L is None else L @ L.T
+    ):
+        told, factor = "not seen" if is_unseen(now, before) else "", identified / modelled
+        shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
+        yield name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
+
+
+def is_unseen(now: float, before: float) -> bool:
+    """Whether a standard deviation says that nothing was told beside what was known before."""
+    return now > _UNSEEN_SHARE * before
 
 
 def stiffness_rows(
     stiffness: IdentifiedStiffness, modelled: FloatArray | None
-) -> Iterator[tuple[str, float, float, float]]:
-    """Yield of every stiffness its name, as modelled, as identified, and its logarithm's standard deviation.
+) -> Iterator[tuple[str, float, float, float, float]]:
+    """Yield of every stiffness its name, as modelled and as identified, and its logarithm's deviations.
+
+    These are standard deviations now and before, the latter NaN where the file does not tell.
 
     Parameters
     ----------
@@ -80,20 +87,23 @@ def stiffness_rows(
         Compliance of the base as modelled; None: it is rigid.
     """
     Sigma, first = stiffness.covariance_matrix, len(stiffness.springs)
-    springs = (*stiffness.links, *stiffness.joints)
-    for (kind, name), each, variance in zip(stiffness.springs, springs, np.diag(Sigma), strict=False):
+    springs, measured = (*stiffness.links, *stiffness.joints), stiffness.measured
+    told = measured is not None and len(measured.prior_sd) == len(Sigma)
+    prior = np.array(measured.prior_sd) if measured and told else np.full(len(Sigma), np.nan)
+    deviations = zip(np.sqrt(np.diag(Sigma)).tolist(), prior.tolist(), strict=True)
+    for (kind, name), each, deviation in zip(stiffness.springs, springs, deviations, strict=False):
         of = f"{name} E I, N m2" if kind == "link" else f"{name}, Nm/rad"
-        yield of, each.modelled, each.factor * each.modelled, float(np.sqrt(variance))
+        yield of, each.modelled, each.factor * each.modelled, *deviation
     if stiffness.base is None:
         return
-    C, before = np.linalg.inv(np.array(stiffness.base.stiffness)), np.full(6, np.inf)
+    C, was, before = np.linalg.inv(np.array(stiffness.base.stiffness)), np.full(6, np.inf), np.full(6, np.nan)
     if modelled is not None:
-        before = 1 / np.diag(modelled)
+        was, before = 1 / np.diag(modelled), _base_deviations(modelled, np.diag(prior[first:] ** 2))
     # A push along one direction, all others free.
-    each_base = zip(before, 1 / np.diag(C), _base_deviations(C, Sigma[first:, first:]), strict=True)
-    for i, (was, now, deviation) in enumerate(each_base):
+    each_base = np.stack([was, 1 / np.diag(C), _base_deviations(C, Sigma[first:, first:]), before], axis=1)
+    for i, (stiff, now, deviation_now, deviation_before) in enumerate(each_base.tolist()):
         unit = "N/m" if i < 3 else "Nm/rad"
-        yield f"base {_BASE_DIRECTIONS[i]}, {unit}", float(was), float(now), float(deviation)
+        yield f"base {_BASE_DIRECTIONS[i]}, {unit}", stiff, now, deviation_now, deviation_before
 
 
 def _base_deviations(C: FloatArray, Sigma: FloatArray) -> FloatArray:
@@ -130,13 +140,6 @@ def _either(match: MatchedFrequency) -> str:
 def _away(match: MatchedFrequency) -> float:
     """By how much a frequency is off, in logarithms."""
     return abs(float(np.log(match.frequency / match.predicted[0])))
-
-
-def _row(name: str, modelled: float, identified: float, now: float, before: float) -> tuple[str, ...]:
-    told = "" if now <= _UNSEEN_SHARE * before else "not seen"
-    factor = identified / modelled
-    shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
-    return name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
 
 
 def unseen(found: Identification) -> tuple[tuple[str, ...], int]:

@@ -362,14 +362,19 @@ def _measured_section(plan: Plan) -> str:
     if (identified := plan.scene.identified) is None:
         return ""
     # Most plans are as modelled: their pages are made without it.
-    from cmbot.identification import stiffness_rows
+    from cmbot.identification import is_unseen, stiffness_rows
 
     base = elastic_base(replace(plan.scene.modelled_guardrail, leg_compliance=plan.robot.leg_compliance))
     before = None if base is None else np.asarray(np.linalg.inv(base.stiffness))
     rows = [
-        (name, "rigid" if was == inf else f"{was:.4g}", f"{now:.4g}", f"{now / by:.4g} to {now * by:.4g}")
-        for name, was, now, deviation in stiffness_rows(identified, before)
-        for by in [np.exp(_SIGMAS_95 * deviation)]
+        (
+            name,
+            "rigid" if was == inf else f"{was:.4g}",
+            f"{now:.4g}",
+            f"{now / by:.4g} to {now * by:.4g}{seen}",
+        )
+        for name, was, now, deviation, prior in stiffness_rows(identified, before)
+        for by, seen in [(np.exp(_SIGMAS_95 * deviation), ", not seen" * is_unseen(deviation, prior))]
     ]
     told = table(rows, ("stiffness", "scene's", "measured", "with 95 % within"))
     if (measured := identified.measured) is None:

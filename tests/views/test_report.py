@@ -69,7 +69,13 @@ def test_a_measured_base_is_told_beside_that_of_the_scene(short_plan: Plan, text
         "links": springs,
         "base": {"footholds": feet, "stiffness": (2 * base.stiffness).tolist()},
         "covariance": (0.01 * np.eye(len(springs) + 21)).tolist(),
-        "measured": {"sheets": ["<tap>.yaml"], "readings": readings, "modes": modes},
+        # Of X_11 nothing was told beside what was known before, of the others nearly all.
+        "measured": {
+            "sheets": ["<tap>.yaml"],
+            "readings": readings,
+            "modes": modes,
+            "prior_sd": [0.3] * len(springs) + [0.1] + [0.3] * 20,
+        },
     }
     page = report_page(replace(plan, scene=plan.scene.changed(identified=identified)))
     part = page.partition("<h2>Measured</h2>")[2].partition("</section>")[0]
@@ -79,6 +85,9 @@ def test_a_measured_base_is_told_beside_that_of_the_scene(short_plan: Plan, text
     before = 1 / np.linalg.inv(base.stiffness)[0, 0]
     was, now, within = told["base along x, N/m"]
     assert (float(was), float(now)) == pytest.approx((before, 2 * before), rel=1e-3)
+    unseen = [row[0] for row in cells if row and row[-1].endswith(", not seen")]
+    assert unseen == ["base along x, N/m"]
+    within = within.removesuffix(", not seen")
     ends = [2 * before * np.exp(side * 1.96 * 0.1) for side in (-1, 1)]
     assert [float(end) for end in within.split(" to ")] == pytest.approx(ends, rel=1e-3)
     assert told[f"{name} E I, N m2"][0] == told[f"{name} E I, N m2"][1]

@@ -74,6 +74,8 @@ class MeasuredFile(FileModel):
     """Names of the files of measurements."""
     readings: Annotated[tuple[IdentifiedReadings, ...], Field(max_length=2)] = ()
     modes: Annotated[tuple[IdentifiedMode, ...], Field(max_length=4000)] = ()
+    prior_sd: Annotated[tuple[Number, ...], Field(max_length=300)] = ()
+    """Standard deviations before, of what the covariance is of; left out: not told."""
 
 
 class IdentifiedStiffness(FileModel):
