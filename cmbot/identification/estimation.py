@@ -147,6 +147,11 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
     joint = moved @ whole @ moved.T
     known = zip(problem.weights, x[p:], np.sqrt(np.diag(whole)[p:]), strict=True)
     job = next((each.job for each in reversed(sheets) if each.job is not None), None)
+    before = None if job is None else sag_along(modelled, np.diag(problem.prior**2), job)
+    after = None if job is None else sag_along(arm, joint[:p, :p], job)
+    measured = _measured(sheets, stated, problem.matched) | {"prior_sd": problem.prior.tolist()}
+    if before is not None and after is not None:
+        measured["sag_mm"] = [round(1e3 * sag.rms, 4) for sag in (before, after)]
     return Identification(
         measurements=sheets,
         arm=arm,
@@ -162,17 +167,10 @@ def _estimate(sheets: tuple[Measurements, ...], modelled: ElasticArm) -> Identif
         parts=tuple(replace(part, scale=problem.scale[part.kind]) for part in stated),
         slips=wrong,
         matched=problem.matched,
-        stiffness=_stiffness(
-            sheets,
-            modelled,
-            arm,
-            mean,
-            joint[:p, :p],
-            _measured(sheets, stated, problem.matched) | {"prior_sd": problem.prior.tolist()},
-        ),
+        stiffness=_stiffness(sheets, modelled, arm, mean, joint[:p, :p], measured),
         job=job,
-        before=None if job is None else sag_along(modelled, np.diag(problem.prior**2), job),
-        after=None if job is None else sag_along(arm, joint[:p, :p], job),
+        before=before,
+        after=after,
     )
 
 

@@ -391,9 +391,15 @@ def _measured_section(plan: Plan) -> str:
         + ("" if each.residual is None else f" (residual {each.residual:.2g} times what stated errors leave)")
         for each in measured.readings
     ]
-    sentences = [f"From {', '.join(measured.sheets)}: {', '.join(left)}.", "± is one standard deviation."]
+    sentences = [f"From {', '.join(measured.sheets)}: {', '.join(left)}."]
+    if measured.sag_mm is not None:
+        was, now = (f"{sag:.2f}" for sag in measured.sag_mm)
+        sentences.append(
+            f"The sag along the job measured for is {now} mm RMS, with the scene's stiffness {was}."
+        )
+    sentences += ["± is one standard deviation."] * bool(modes)
     headings = ("frequency, Hz", "damping, % of critical")
-    return section("Measured", told + table(modes, headings) + _list(sentences[: 1 + bool(modes)]))
+    return section("Measured", told + table(modes, headings) + _list(sentences))
 
 
 def _loads_section(plan: Plan) -> str:

@@ -83,6 +83,9 @@ def test_sag_is_known_better_than_before(found: tuple[benchmark.Truth, ElasticAr
     assert identified.before is not None
     assert identified.after is not None
     true = Sag(arm).at(identified.job).tool
+    told = identified.stiffness.measured
+    assert told is not None and told.sag_mm is not None
+    assert told.sag_mm[1] == pytest.approx(1e3 * np.sqrt((true**2).sum(axis=1).mean()), rel=0.05)
     off = [np.linalg.norm(sag.tool - true, axis=1).max() for sag in (identified.before, identified.after)]
     assert off[1] < 0.1 * off[0]
     assert identified.after.share < 0.2 * identified.before.share

@@ -74,6 +74,7 @@ def test_a_measured_base_is_told_beside_that_of_the_scene(short_plan: Plan, text
             "sheets": ["<tap>.yaml"],
             "readings": readings,
             "modes": modes,
+            "sag_mm": [1.531, 1.874],
             "prior_sd": [0.3] * len(springs) + [0.1] + [0.3] * 20,
         },
     }
@@ -85,6 +86,7 @@ def test_a_measured_base_is_told_beside_that_of_the_scene(short_plan: Plan, text
     before = 1 / np.linalg.inv(base.stiffness)[0, 0]
     was, now, within = told["base along x, N/m"]
     assert (float(was), float(now)) == pytest.approx((before, 2 * before), rel=1e-3)
+    assert "The sag along the job measured for is 1.87 mm RMS, with the scene&#x27;s stiffness 1.53." in part
     unseen = [row[0] for row in cells if row and row[-1].endswith(", not seen")]
     assert unseen == ["base along x, N/m"]
     within = within.removesuffix(", not seen")

@@ -76,6 +76,8 @@ class MeasuredFile(FileModel):
     modes: Annotated[tuple[IdentifiedMode, ...], Field(max_length=4000)] = ()
     prior_sd: Annotated[tuple[Number, ...], Field(max_length=300)] = ()
     """Standard deviations before, of what the covariance is of; left out: not told."""
+    sag_mm: tuple[Number, Number] | None = None
+    """Root mean square of the tool's sag along the job, as modelled and as identified; left out: not told."""
 
 
 class IdentifiedStiffness(FileModel):
