@@ -15,7 +15,7 @@ from cmbot.common.errors import InputError, one_line
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
-    from cmbot.identification import Identification, Location, MeasuringSetup, Proposal
+    from cmbot.identification import Identification, Location, Proposal
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,8 @@ class IdentifyCommand(Writing):
             stem = f"{scene.name}.measurements"
         target = self.output or Path(f"{stem}.yaml")
         given = {"weight_kg": self.weight, "gauge_sd_mm": self.gauge}
-        setup = _changed(setup, {name: value for name, value in given.items() if value is not None})
+        with options_named({"weight_kg": "--weight", "gauge_sd_mm": "--gauge"}, "cmbot identify"):
+            setup = setup.changed(**{name: value for name, value in given.items() if value is not None})
         if job is None and known is not None and known.job is not None:
             along = known.job
         else:
@@ -119,15 +120,6 @@ def _print_identification(found: Identification, target: Path) -> None:
         print_table("Frequencies", told.MODE_HEADINGS, rows)
     print_lines(told.remarks(found))
     out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}")
-
-
-def _changed(setup: MeasuringSetup, given: dict[str, float]) -> MeasuringSetup:
-    """What is measured with, with what the options give; errors name them."""
-    from cmbot.common.reading.validation import validated
-
-    own = setup.model_dump(include=set(type(setup).model_fields))
-    with options_named({"weight_kg": "--weight", "gauge_sd_mm": "--gauge"}):
-        return validated(type(setup), own | given, "cmbot identify", InputError)
 
 
 def _promised(made: Proposal) -> dict[str, object]:

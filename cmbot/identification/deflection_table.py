@@ -83,31 +83,16 @@ def read_deflections(
             key = f"line {table.lines[row]}, {table.names[weight]}"
             raise InputError(table.source, key, "nothing", "the weight that was hung on, kg")
         sheets[tuple(own.items())].append(row)
-    data = {
-        "format": "cmbot-measurements/1",
-        "scene": _named(scene),
-        "job": job if job is None else job.tolist(),
-    }
+    along = job if job is None else job.tolist()
+    data = {"format": "cmbot-measurements/1", "scene": _named(scene), "job": along}
+    records = [None if record is None else cells[record] or None for cells in table.rows]
+    moved = [[x if np.isfinite(x) else None for x in by] for by in deflections.tolist()]
+    each = [
+        {"posture": q, "deflection_mm": dict(zip(measured, by, strict=True)), "record": own}
+        for q, by, own in zip(postures.tolist(), moved, records, strict=True)
+    ]
     return tuple(
-        _sheet(
-            table,
-            rows,
-            data
-            | dict(own)
-            | {
-                "measurements": [
-                    {
-                        "posture": postures[row].tolist(),
-                        "deflection_mm": {
-                            axis: x if np.isfinite(x) else None
-                            for axis, x in zip(measured, deflections[row].tolist(), strict=True)
-                        },
-                        "record": (table.rows[row][record] or None) if record is not None else None,
-                    }
-                    for row in rows
-                ]
-            },
-        )
+        _sheet(table, rows, data | dict(own) | {"measurements": [each[row] for row in rows]})
         for own, rows in sheets.items()
     )
 
@@ -119,13 +104,8 @@ def _named(scene: str) -> str:
 
 def _require_columns(table: TextTable, used: Sequence[int | None]) -> None:
     """Refuse a table in which nothing was measured, or that has a column of which nothing is known."""
-    known = (
-        "weight_kg",
-        *_DEFLECTION_COLUMNS,
-        "record",
-        *dict.fromkeys(_SETUP_COLUMNS.values()),
-        *_REMARKS[:1],
-    )
+    setup = dict.fromkeys(_SETUP_COLUMNS.values())
+    known = ("weight_kg", *_DEFLECTION_COLUMNS, "record", *setup, *_REMARKS[:1])
     if not {"record", *_DEFLECTION_COLUMNS} & {*table.names}:
         expected = "columns dx, dy, dz, or some of them, or record"
         raise InputError(table.source, "line 1", f"the columns {','.join(table.names)}", expected)

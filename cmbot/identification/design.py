@@ -80,17 +80,13 @@ class Proposal(ShortRepr):
         named = ", ".join(f"{axis}: null" for axis in axes)
         blank = "[null, null, null]" if self.seen.all() else f"{{{named}}}"
         files = "THE_EARLIER_FILES THIS_FILE" if self.measured else "THIS_FILE"
+        setup = self.setup.model_dump(mode="json", include=set(MeasuringSetup.model_fields))
         lines = [
             "# Hang the weight on the tool in each posture: deflection_mm is how far the tool point moves",
             f"# along {', '.join(axes)} of the world frame; null: not measured. Then: cmbot identify {files}",
             "format: cmbot-measurements/1",
             f"scene: {json.dumps(scene)}",
-            *(
-                f"{name}: {json.dumps(value)}"
-                for name, value in self.setup.model_dump(
-                    mode="json", include=set(MeasuringSetup.model_fields)
-                ).items()
-            ),
+            *(f"{name}: {json.dumps(value)}" for name, value in setup.items()),
             "measurements:",
         ]
         for q, d in zip(self.q, self.deflection, strict=True):

@@ -131,12 +131,9 @@ def located(touches: Touches) -> Location:
             break
         counted_in.remove(worst)
         if len(touches.features) - len(counted_in) > most:
-            raise InputError(
-                touches.source,
-                f"touches[{worst}]",
-                f"{1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0])):.1f} mm from its feature",
-                "touches that fit each other: more than a third does not; look at features and units",
-            )
+            off = 1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0]))
+            expected = "touches that fit each other: more than a third does not; look at features and units"
+            raise InputError(touches.source, f"touches[{worst}]", f"{off:.1f} mm from its feature", expected)
     if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
         shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
         prior, frame = touches.setup.prior, touches.frame

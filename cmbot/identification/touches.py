@@ -205,14 +205,9 @@ def _from_csv(path: Path) -> TouchesFile:
     rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
     heading = [name.strip().lower() for name in rows[0]] if rows else []
     joints = [name for name in heading if name.startswith("q")]
-    columns = ["x", "y", "z"] if {"x", "y", "z"} <= set(heading) else joints
-    key = (
-        "place"
-        if columns != joints
-        else "posture_deg"
-        if joints and joints[0].endswith("_deg")
-        else "posture"
-    )
+    columns, key = joints, "posture_deg" if joints and joints[0].endswith("_deg") else "posture"
+    if {"x", "y", "z"} <= set(heading):
+        columns, key = ["x", "y", "z"], "place"
     if not columns or not {"px", "py", "pz"} <= set(heading):
         expected = "the columns x,y,z or q1_deg,q2_deg,..., then px,py,pz, and nx,ny,nz or ex,ey,ez"
         raise InputError(str(path), "line 1", shown(",".join(heading)), expected)
