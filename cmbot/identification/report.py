@@ -21,7 +21,7 @@ from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification, estimate
-from cmbot.identification.misfit import Part, Slip, parts, rescaled
+from cmbot.identification.misfit import Part, Slip, parts
 from cmbot.identification.model import DeflectionModel, SagAlong
 from cmbot.identification.problem import MatchedFrequency, Problem
 from cmbot.robot import Kinematics, Robot
@@ -363,22 +363,20 @@ def _mistaken(found: Identification, slip: Slip | None = None) -> str:
                 return words
     robot = found.modelled.robot
     frames = (name for name, X_TF in _other_frames(robot) if np.linalg.norm(X_TF.translation) > _ZERO_M)
-    places = [name for name in frames if _fits_at(found, name)]
-    return (
-        f"the gauge at robot.tool_frame ({robot.tool_frame}): at {' or '.join(places)} it fits"
-        if places
-        else ""
-    )
+    if _fits_at(found, robot.tool_frame) or not (
+        places := [name for name in frames if _fits_at(found, name)]
+    ):
+        return ""
+    return f"the gauge at robot.tool_frame ({robot.tool_frame}): at {' or '.join(places)} it fits"
 
 
 def _fits_at(found: Identification, frame: str) -> bool:
-    """Whether deflections fit as those of another frame of the last link."""
-    arm, of = found.modelled, found.measurements
+    """Whether deflections alone fit as those of a frame of the last link."""
+    arm, sheets = found.modelled, [replace(sheet, modes=()) for sheet in found.measurements]
     with suppress(InputError):
         robot = replace(arm.robot, tool_frame=frame)
-        problem = Problem(of, elastic_arm(robot, arm.base, arm.options))
-        now = parts(problem, rescaled(problem, problem.first(), only_prior=True))
-        return all(part.probability > _PLAIN_MISFIT for part in now if part.kind == "deflection_mm")
+        problem = Problem(sheets, elastic_arm(robot, arm.base, arm.options))
+        return all(part.probability > _PLAIN_MISFIT for part in parts(problem, problem.first()))
     return False
 
 

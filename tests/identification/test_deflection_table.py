@@ -251,3 +251,19 @@ def test_a_gauge_at_another_frame_of_the_last_link_is_recognised(scene: str, tmp
     path = table(tmp_path, f"{JOINTS},kg,dz", row(5000, -3))
     with pytest.raises(InputError, match="kg, not g"):
         identify(*read_deflections(path, scene))
+
+
+def test_frequencies_may_not_fit_by_a_wrong_weight(scene: str) -> None:
+    """All deflections are those of a lighter weight than stated; frequencies are of the arm."""
+    q = POSTURE + np.random.default_rng(5).uniform(-0.6, 0.6, (6, 7))
+    arm = measured_arm(short_scene())
+    model = DeflectionModel(arm, MeasuringSetup(weight_kg=5.0), q)
+    moved = 1e3 * model.at(np.zeros(model.parameters.count))[0]
+    rows = [
+        {"posture": each, "deflection_mm": own} for each, own in zip(q.tolist(), moved.tolist(), strict=True)
+    ]
+    rows[0]["frequencies_hz"] = arm_modes(arm, q[0]).frequencies[:3].tolist()
+    content = {"format": "cmbot-measurements/1", "scene": scene, "gauge_sd_mm": 0.01, "measurements": rows}
+    with pytest.raises(InputError, match="a wrong weight_kg"):
+        identify(content | {"weight_kg": 7.0})
+    assert identify(content | {"weight_kg": 5.0}).slips == ()
