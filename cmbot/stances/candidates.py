@@ -249,6 +249,12 @@ def _is_new(candidate: Candidate, X_2: FloatArray | None, known: set[tuple[float
     return new
 
 
+def has_flat_foot(scene: Scene, candidate: Candidate) -> bool:
+    """Whether a foot of a stance is on flat steel: elsewhere no adhesion is defined."""
+    faces = (foothold_face(scene.elastic_guardrail, place) for place in candidate.stance.held)
+    return any(not face.held_by_clamps_alone for face in faces)
+
+
 def candidate_at(
     place: FootholdFile, other: FootholdFile | None, X: FloatArray, angles: FloatArray, climber: Climber
 ) -> Candidate:

@@ -25,6 +25,7 @@ from cmbot.stances.candidates import (
     Candidate,
     candidates_of,
     faces_of,
+    has_flat_foot,
     mounts_of,
     own_candidate,
 )
@@ -249,7 +250,13 @@ class _Stand:
             self._own = _own(scenes)
             first = [each for each in self._own if isinstance(each, Candidate)]
             spacings = options.spacing, options.pair_spacing
-            self._candidates: list[AnyCandidate] = [*candidates_of(scene, *spacings, options.members, first)]
+            found, any_will_do = (
+                candidates_of(scene, *spacings, options.members, first),
+                self._objective != "hold",
+            )
+            self._candidates: list[AnyCandidate] = [
+                each for each in found if any_will_do or has_flat_foot(scene, each)
+            ]
         else:
             self._candidates = [*mounts_of(scene)]
             self._own = {self._candidates[0]: None}

@@ -41,7 +41,7 @@ from cmbot.stances import (
     stand,
 )
 from cmbot.stances.arm import BaseArm, _Goals
-from cmbot.stances.candidates import climber_in_the_way
+from cmbot.stances.candidates import climber_in_the_way, has_flat_foot
 from cmbot.stances.stages import figures_of, value_of
 from cmbot.views import stances_page
 from cmbot.views.overview.stances import _apart
@@ -378,6 +378,19 @@ def test_stances_are_sought_on_the_face_that_the_scenes_feet_hold(face: str) -> 
             assert (each.base[:3, 3] - each.root[:3, 3]) @ out > 0
     # Of the usual sides none has a face for magnets.
     assert not [*candidates_of(girder.changed(guardrail={"stance": None}), 0.5, 0.5, ("flange",))]
+
+
+def test_stances_without_a_foot_on_flat_steel_have_no_adhesion() -> None:
+    """Clamps hold round bars, too; what a magnet would have to bear there is not defined."""
+    clamp = {"kind": "clamp", "force_n": [9e3, 9e3, 9e3], "moment_nm": [2e3, 2e3, 2e3]}
+    scene = scene_of(guardrail={"hold": clamp})
+    each = [*candidates_of(scene, 0.9, 0.6, ("bar_1", "top_rail"))]
+    members = [{place.member for place in candidate.stance.held} for candidate in each]
+    assert [has_flat_foot(scene, candidate) for candidate in each] == ["top_rail" in held for held in members]
+    assert {"bar_1"} in members
+    assert {"bar_1", "top_rail"} in members
+    with pytest.raises(PlanningError, match="no place on bar_1 in which a foot holds"):
+        stand(scene, replace(COARSE, members=("bar_1",)))
 
 
 def test_a_flange_on_whose_edge_no_magnet_holds_is_refused_with_its_width() -> None:

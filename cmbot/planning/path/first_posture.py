@@ -26,7 +26,7 @@ def starting_at_path(request: StrokeRequest) -> StrokeRequest:
     sampler = PostureSampler(cell=request.cell, task=request.task, tolerance=1e-12)
     found = sampler.near(posture[None], begin)
     if not len(found):
-        found = sampler.near(sampler.drawn(_MAX_RESTARTS), begin)
+        (found,) = sampler.at_each(begin, _MAX_RESTARTS, posture)
     if not len(found):
         where = ", ".join(f"{x:.3f}" for x in request.task.path.corners[0])
         reason = (
