@@ -36,7 +36,10 @@ from cmbot.planning.path.gradient_projection import (
     aside_of_path as aside_of_path,
     follow_path as follow_path,
 )
-from cmbot.planning.path.raster_reach import reached_scene as reached_scene
+from cmbot.planning.path.raster_reach import (
+    reached_scene as reached_scene,
+    unreached_area as unreached_area,
+)
 from cmbot.planning.path.start_posture import StartPosture as StartPosture, find_start as find_start
 from cmbot.planning.planner import plan as plan, replan as replan
 from cmbot.planning.postures.projection import project_onto_task as project_onto_task

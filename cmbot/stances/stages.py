@@ -14,7 +14,7 @@ from cmbot.common.errors import CmbotError
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.excitation import sway_mm_per_m_s2
-from cmbot.planning import Plan, bending_arm, plan
+from cmbot.planning import Plan, bending_arm, plan, unreached_area
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 from cmbot.stances.arm import FIGURES
@@ -153,13 +153,15 @@ class Judge:
         limit = min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own))
         try:
             scene = self._placed(result)
-            made = plan(scene, options=replace(scene.planner, time_limit_s=limit))
+            options = replace(scene.planner, time_limit_s=limit)
+            # First what takes a tenth of a plan's time.
+            if left_out := unreached_area(scene, options):
+                why = "of the rasters are not reached"
+                rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
+                return result.rejected("plan", rejection)
+            made = plan(scene, options=options)
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
-        if left_out := sum(one.unreached for one in made.coverage.values()):
-            why = "of the rasters are not reached"
-            rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
-            return result.rejected("plan", rejection)
         figures = figures_of(made, result.candidate)
         result = replace(result, stage="plan", figures=figures, rejection=None)
         bounds = self.options.bounds if result.own else self.bounds

@@ -11,9 +11,9 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.budget import Deadline
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.postures.sampler import PostureSampler
-from cmbot.planning.request import StrokeRequest, build_request, in_cells
+from cmbot.planning.request import StrokeRequest, build_request, in_cells, strokes_of
 from cmbot.planning.workcell.workcell import robot_of
-from cmbot.scene import PlannerOptions, Scene, StrokeFile, rows_alone
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, coverage_of, rows_alone
 from cmbot.toolpath import RowPiece, ToolPath, ToolPoses, cells_of
 
 # Distance of places along rows: as a share of the rows' distance, and at most, m.
@@ -86,6 +86,20 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
             raise request.path_not_found(reason, request.state.posture)
     changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
     return scene.with_cells({k: parts[k] for k in changed}, whole)
+
+
+def unreached_area(scene: Scene, options: PlannerOptions) -> float:
+    """Return the area of a scene's rasters, m2, that the arm does not reach.
+
+    Raises
+    ------
+    SceneError, ModelError, PathNotFound
+        As `reached_scene`.
+    """
+    reached = reached_scene(scene, options)
+    if reached is scene:
+        return 0.0
+    return sum(one.unreached for one in coverage_of(strokes_of(reached, robot_of(reached))).values())
 
 
 @dataclass(frozen=True, eq=False)
