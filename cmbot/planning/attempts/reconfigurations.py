@@ -48,7 +48,8 @@ class Reconfigurations:
         file = first.request.stroke.file
         name, begin = str(file.part_of or file.name), file.begins_at or 0.0
         reached = _reached(first, failure)
-        if reached is None:
+        # Fixed knots are those of the path of gradient projection, which leads on from one posture.
+        if reached is None or first.request.cell.options.knots == "fixed":
             return False
         behind = _behind(first.request, reached)
         if file.legs and behind < 1:
