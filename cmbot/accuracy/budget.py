@@ -27,8 +27,6 @@ from cmbot.scene import Placement, Tolerance, Uncertainty
 # Draws; postures of a stroke at most, and the time between them, s.
 _MONTE_CARLO_DRAWS, _MAX_STROKE_POSTURES, _POSTURE_INTERVAL_S = 2048, 80, 0.25
 _DRAW_SEED = 0
-# Slower than this, m/s, the tool is taken to rest: then no direction is along its path.
-_REST_SPEED_M_S = 1e-4
 # What remedies promise: stiffness identified within this share, places located by touched points.
 _IDENTIFIED, _LOCATED = 0.03, Placement(mm=0.3, deg=0.03)
 # A remedy that leaves more than this share is none.
@@ -111,8 +109,8 @@ class WorkPath(Protocol):
     def duration(self) -> float:
         """Time along it, s."""
 
-    def position(self, times: FloatArray) -> FloatArray:
-        """Return its places (N, 3), m, at `times` (N,)."""
+    def leg_directions(self, times: FloatArray) -> FloatArray:
+        """Return unit vectors (N, 3) along it at `times` (N,); zero where a leg has no length."""
 
     def leg_offset(self, times: FloatArray, p: FloatArray) -> FloatArray:
         """Return the vectors (N, 3), m, to points `p` (N, 3) from it."""
@@ -254,7 +252,7 @@ class _Budget:
     parts: tuple[Part, ...]
     planned: FloatArray  # (N, 3), m: of the rigid arm's tool, or of the bent one's where sag is compensated
     sway: FloatArray  # (3, N, 3), m: with the least stiffness, the stated one and the largest
-    along: FloatArray  # (N, 3), unit vectors along the path, or zero at rest
+    along: FloatArray  # (N, 3), unit vectors along the path, or zero where it is a point
     axis: FloatArray  # (N, 3), of the tool
     share: float  # of the stiffness
     shaking: FloatArray | None  # (R, N, 3), m
@@ -405,14 +403,15 @@ def _sampled(
     duration = work.path.duration
     count = int(np.clip(np.ceil(duration / _POSTURE_INTERVAL_S), 8, _MAX_STROKE_POSTURES))
     t = np.linspace(0.0, duration, count + 1)
-    q, place = work.motion(t, 0), work.path.position(t)
+    q, along = work.motion(t, 0), work.path.leg_directions(t)
     # Where the sag is compensated the bent tool is to be on the path; else its sag is a part of its own.
     sag = Sag(arm).following(q) if compensated else 0.0
     offset = work.path.leg_offset(t, work.commanded(t) + sag)
-    velocity = np.gradient(place, t, axis=0)
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    along = np.where(speed > _REST_SPEED_M_S, velocity / np.maximum(speed, _REST_SPEED_M_S), 0.0)
-    axis = np.broadcast_to(work.rotation(t)[:, :, 2], place.shape)
+    leading = np.flatnonzero(along.any(axis=1))
+    if len(leading):
+        # In a pause the tool is on the leg before it.
+        along = along[leading[np.maximum(np.searchsorted(leading, np.arange(len(t)), side="right") - 1, 0)]]
+    axis = np.broadcast_to(work.rotation(t)[:, :, 2], along.shape)
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
     sway = work.sway or sway_along(arm, work.motion, duration, damping, factors)
     shaking = work.shaking

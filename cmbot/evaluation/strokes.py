@@ -163,10 +163,10 @@ class FollowedPath:
         """Of the motion, s."""
         return self.trajectory.duration
 
-    def position(self, times: FloatArray) -> FloatArray:
-        """Return the places (N, 3), m, of the path that are nearest to the tool at `times` (N,)."""
+    def leg_directions(self, times: FloatArray) -> FloatArray:
+        """Return unit vectors (N, 3) along the path at its places nearest to the tool at `times` (N,)."""
         points = Kinematics(self.robot).tool_poses(self.trajectory.evaluate(times))[0]
-        return np.asarray(self.path.position(self.nearest(points)))
+        return np.asarray(self.path.leg_directions(self.nearest(points)))
 
     def leg_offset(self, times: FloatArray, p: FloatArray) -> FloatArray:
         """Return the vectors (N, 3), m, to points `p` (N, 3) from the nearest places of the path."""

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -163,6 +164,32 @@ def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
     assert parts == {"planned deviation": pytest.approx(beside, rel=0.2, abs=1e-3), "sway": parts["sway"]}
     assert 0.7 * beside <= accuracy.within_mm <= sum(parts.values()) * (1 + 1e-6)
     assert not any("locate" in remedy.name or "identify" in remedy.name for remedy in accuracy.remedies)
+
+
+@pytest.mark.parametrize(
+    "legs",
+    [
+        [{"by": [0, -0.3, 0], "seconds": 6}],
+        [{"by": [0, -0.3, 0], "seconds": 60}],
+        [{"by": [0, -0.1, 0], "seconds": 20}, {"pause": 5}, {"by": [0, -0.2, 0], "seconds": 40}],
+        [{"pause": 2}, {"by": [0, -0.3, 0], "seconds": 60}],
+    ],
+)
+def test_neither_speed_nor_rests_change_what_is_along_the_path(legs: list[dict[str, Any]]) -> None:
+    """What is left of a base that may be shifted: a Rayleigh distribution across a straight path."""
+    nothing = {"mm": 0, "deg": 0}
+    only = {
+        **{"foot": {"mm": 5, "deg": 0}, "workpiece": nothing},
+        **{"stiffness_share": 0, "payload_kg": 0, "temperature_k": 0},
+        "joints": {"calibration_deg": 0, "backlash_arcmin": 0, "friction_share": 0},
+    }
+    path = {"legs": legs, "speed_profile": {"kind": "quiet", "ramp": 0.3}, "via_points": 10}
+    scene = short_scene(tool_path=path, uncertainty=only, planner={"compensate": True, "baseline": "none"})
+    accuracy = plan(scene, progress=False).accuracy
+    # The sway is some hundredths of a millimetre.
+    assert accuracy.within_mm == pytest.approx(5 * np.sqrt(2 * np.log(20)), rel=0.02)
+    placed = next(part for part in accuracy.parts if part.name == "placement of the base")
+    assert placed.sigma_mm == pytest.approx(5 * np.sqrt(2), rel=1e-9)
 
 
 def test_a_shaken_base_counts_by_the_largest_of_each_record() -> None:
