@@ -36,7 +36,7 @@ EXCITATION_FILE = "excitation.json"
 
 _PLOT_FILES = (
     *("guardrail_torque", "joints", "clearance", "tool_deviation"),
-    *("tracking_error", "tracking_dynamic", "tracking_residual"),
+    *("tracking_error", "tracking_dynamic", "tracking_path", "tracking_residual"),
 )
 SHOWN_FILES = (
     "replay.html",

@@ -124,6 +124,7 @@ from cmbot.planning.workcell.workcell import (
     Workcell as Workcell,
     bending_arm as bending_arm,
     held_guardrail as held_guardrail,
+    held_point as held_point,
     resolved_options as resolved_options,
     rigid_parts_remark as rigid_parts_remark,
     robot_of as robot_of,

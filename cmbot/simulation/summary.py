@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
-from cmbot.planning import Plan
+from cmbot.planning import Plan, held_point
 from cmbot.simulation.execution import is_executed
 from cmbot.simulation.metrics import statistics
 from cmbot.simulation.options import SimulationOptions
@@ -77,7 +77,7 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
 
 
 def base_movement(plan: Plan, tracking: Tracking) -> str:
-    """Return in a sentence how far the base moves and turns under the foot; empty where it is rigid.
+    """Return in words how far the base moves and turns, and what it bears; empty where it is rigid.
 
     Parameters
     ----------
@@ -85,19 +85,26 @@ def base_movement(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    if any(motion.base is None for _, motion in tracking.motions):
+    if any(motion.base_torque is None for _, motion in tracking.motions):
         return ""
-    *other, (way, turn) = [
+    *other, (way, turn, torque) = [
         (
             f"{1e3 * motion.largest_base_displacement:.3g} mm",
             f"{np.rad2deg(motion.largest_base_rotation):.3g} deg",
+            f"{motion.largest_base_torque or 0.0:.2f} Nm",
         )
         for _, motion in tracking.motions
     ]
     beside = f" (baseline {', '.join(other[0])})" if other else ""
+    held, about = (_place(point) for point in (held_point(plan.scene, plan.robot), plan.robot.foot_point))
     return (
-        f"Under the foot the {plan.scene.base_name} moves by up to {way} and turns by up to {turn}{beside}."
+        f"Where it holds the arm, at {held}, the {plan.scene.base_name} moves by up to {way} and turns by up "
+        f"to {turn}; with vibration it bears up to {torque} about {about}{beside}."
     )
+
+
+def _place(point: Sequence[float]) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in point)}) m"
 
 
 def beyond_margin(plan: Plan, tracking: Tracking) -> str:

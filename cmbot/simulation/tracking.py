@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -23,7 +23,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
-from cmbot.planning import Plan, ToolTask, held_guardrail, require_plan, robot_of
+from cmbot.planning import Plan, ToolTask, held_guardrail, held_point, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated_base
 from cmbot.simulation.execution import executed, is_executed
@@ -69,8 +69,11 @@ class MotionTracking(ShortRepr):
         Part of the error: the tool point of a rigid arm as the controller moves its joints, less that of the
         commanded ones. None where joints follow exactly.
     base : (N, 6), m and rad, or None
-        Displacement of the base under the foot along the axes of W, and its rotation, first about x, then
-        about the turned y, then about the turned z. None where the base is rigid.
+        Displacement of the base where it holds the arm (`held_point`) along the axes of W, and its rotation,
+        first about x, then about the turned y, then about the turned z. None where the base is rigid.
+    base_torque : (N, 3), Nm, or None
+        What the bent base bears about O0 with vibration and sag: its stiffness times its deflection, less
+        the weight of what the joints do not move, as `Samples.guardrail_torque` has it without them.
     """
 
     t: FloatArray
@@ -82,6 +85,7 @@ class MotionTracking(ShortRepr):
     metrics: ErrorMetrics
     execution: FloatArray | None = None
     base: FloatArray | None = None
+    base_torque: FloatArray | None = None
 
     @property
     def dynamic(self) -> FloatArray:
@@ -100,15 +104,20 @@ class MotionTracking(ShortRepr):
 
     @property
     def largest_base_displacement(self) -> float:
-        """How far the base moves under the foot while the joints move, m; 0 where it is rigid."""
+        """How far the base moves where it holds the arm while the joints move, m; 0 where it is rigid."""
         return 0.0 if self.base is None else self.largest(self.base[:, :3])
 
     @property
     def largest_base_rotation(self) -> float:
-        """Angle by which the base turns under the foot while the joints move, rad; 0 where it is rigid."""
+        """Angle by which the base turns while the joints move, rad; 0 where it is rigid."""
         if self.base is None:
             return 0.0
         return self.largest(Rotation.from_euler("XYZ", self.base[:, 3:]).as_rotvec())
+
+    @property
+    def largest_base_torque(self) -> float | None:
+        """Largest torque on the bent base while the joints move, Nm; None where it is rigid."""
+        return None if self.base_torque is None else self.largest(self.base_torque)
 
     def largest(self, error: FloatArray) -> float:
         """Return the largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
@@ -234,7 +243,7 @@ def simulate(
         works = [(PrescribedWork.planned(plan), plan.sag)]
         if (other := PrescribedWork.baseline(plan)) is not None:
             works.insert(0, (other, None))
-        share = options.stiffness_share
+        share, held = options.stiffness_share, held_point(plan.scene, plan.robot)
         factors = (1.0, 1 - share, 1 + share) if share else (1.0,)
         total, before = len(factors) * sum(work.duration + options.settle_s for work, _ in works), 0.0
 
@@ -246,7 +255,7 @@ def simulate(
         for factor in factors:
             arm, motions = elastic_arm_of(plan, _softened(options, factor)), list[MotionTracking]()
             for work, sag in works:
-                motions.append(track_work(arm, work, options, report, sag))
+                motions.append(track_work(arm, work, options, report, sag, held=held))
                 before += work.duration + options.settle_s
             cases.append(motions)
     *baseline, planned = cases[0]
@@ -309,6 +318,7 @@ def track_work(
     progress: Callable[[float], None] | None = None,
     sag: Sag | None = None,
     ground: GroundAcceleration | None = None,
+    held: Sequence[float] | None = None,
 ) -> MotionTracking:
     """Simulate an elastic arm under the motions of a work and at rest after it.
 
@@ -325,6 +335,8 @@ def track_work(
     ground : callable, optional
         The acceleration (N, 3), m/s2, in W, of what the arm stands on, at times (N,); errors are relative to
         it.
+    held : three floats, m, optional
+        Point of the base whose motion is told; left out: O0.
 
     Raises
     ------
@@ -369,8 +381,18 @@ def track_work(
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
     execution = execution_error(arm.robot, work, t, options, curve)
-    base = None if arm.base is None else u[:, arm.springs["base", ""]]
+    base = None if arm.base is None else _base(arm, u, held)
     return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution, base)
+
+
+def _base(arm: ElasticArm, u: FloatArray, held: Sequence[float] | None) -> FloatArray:
+    """Motion of a point of the base (N, 6) and torque on it (N, 3) at elastic coordinates `u` (N, f)."""
+    at, foot = arm.springs["base", ""], np.array(arm.robot.foot_point)
+    base = u[:, at]
+    torque = (base @ arm.stiffness[np.ix_(at, at)])[:, 3:] - arm.robot.carrier_torque
+    lever = (foot if held is None else np.array(held)) - foot
+    base[:, :3] += Rotation.from_euler("XYZ", base[:, 3:]).apply(lever) - lever
+    return np.hstack([base, torque])
 
 
 def expected_tool(
@@ -433,8 +455,8 @@ def motion_tracking(
         Of the modes in the motion's first posture, ascending.
     execution : (N, 3), m, optional
         From `execution_error`.
-    base : (N, 6), m and rad, optional
-        Displacement and rotation of an elastic base.
+    base : (N, 6) or (N, 9), m, rad and Nm, optional
+        Displacement and rotation of an elastic base, and the torque on it, which older files lack.
     """
     command, path_error = np.full_like(error, np.nan), np.full_like(error, np.nan)
     for part, at, own in work.split(t):
@@ -450,7 +472,8 @@ def motion_tracking(
         command=command,
         path_error=path_error,
         execution=execution,
-        base=base,
+        base=None if base is None else base[:, :6],
+        base_torque=None if base is None or base.shape[1] == 6 else base[:, 6:],
         metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )
 

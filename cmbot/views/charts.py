@@ -25,6 +25,7 @@ _COMPENSATED_CAPTION = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
+_WITHOUT_VIBRATION = "Without sag and vibration."
 _NOT_SIMULATED = "not simulated"
 # What the quantities of joints that slide are called.
 _SLIDING_NAMES = {"angle": "position", "torque": "force"}
@@ -128,6 +129,13 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
         begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
         broken = bool(baseline_faults(plan, work=True))
+        if all(motion.base_torque is not None for _, motion in tracking.motions):
+            yield replace(
+                torque_chart(plan, base_torque_curves(tracking, begin)),
+                key="tracking",
+                note="Simulated, with vibration and sag.",
+                free=_NOT_SIMULATED,
+            )
         yield from _tracking(tracking, begin, note, clipped=broken)
         off = _off_path(tracking, begin)
         yield off.scaled_to_plan() if broken else off
@@ -277,9 +285,9 @@ def deviation_chart(plan: Plan, curves: tuple[Curve, ...]) -> Chart:
 def _torque(plan: Plan) -> Chart:
     bound, chart = plan.torque_floor, replace(torque_chart(plan, _curves(plan, torque_of)), work=_work(plan))
     if bound is None:
-        return chart.scaled_to_plan()
+        return replace(chart, note=_WITHOUT_VIBRATION).scaled_to_plan()
     marks = ((bound, f"{floor_name(plan)} {bound:.1f} Nm"),)
-    note = f"{floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}."
+    note = f"{_WITHOUT_VIBRATION} {floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}."
     return replace(chart, marks=marks, note=note).scaled_to_plan(bound)
 
 
@@ -360,6 +368,15 @@ def off_path_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]
     return tuple(
         Curve.of_some(name, begin + motion.t, 1e3 * motion.off_path, np.isfinite(motion.off_path))
         for name, motion in tracking.motions
+    )
+
+
+def base_torque_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]:
+    """Return the torque with vibration on the bent base of each motion, Nm; none on a rigid one."""
+    return tuple(
+        Curve(motion=name, t=begin + motion.t, y=np.linalg.norm(motion.base_torque, axis=1))
+        for name, motion in tracking.motions
+        if motion.base_torque is not None
     )
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from cmbot.simulation import Tracking
 from cmbot.views.charts import (
     Chart,
     Curve,
+    base_torque_curves,
     charts,
     downsampled,
     joint_quantities,
@@ -55,8 +56,8 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     Of a plan: the torque on the guardrail with its lower bound; every joint's angle, velocity, acceleration,
     jerk and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with
     its margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with
-    its static part (compare Figures 16 and 26) and the bent tool's distance from its path; the dynamic part
-    of the error, and the residual of that after the stop.
+    its static part (compare Figures 16 and 26); the bent tool's distance from its path above the torque on
+    the base. Their data are columns of ``tracking.csv``.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
 
     with mpl.rc_context(_MATPLOTLIB_STYLE):
         if isinstance(result, Tracking):
-            return tuple(_tracking(result))
+            return _tracking_error(result), _path_and_torque(result)
         # An infinite clearance has no curve.
         torque, *others = (_chart(chart) for chart in charts(result, None) if chart.curves)
         return torque, _joints(result), *others
@@ -205,44 +206,42 @@ def _shares(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
     return (values - middle) / (upper - middle)
 
 
-def _tracking(tracking: Tracking) -> Iterator[Figure]:
-    yield _tracking_rows("tracking_error", "tracking error", tracking, "error")
-    yield _tracking_rows("tracking_dynamic", "dynamic part", tracking, "dynamic")
-    if all(motion.metrics.residual is not None for _, motion in tracking.motions):
-        yield _tracking_rows("tracking_residual", "dynamic part", tracking, "dynamic", after_stop=True)
-
-
-def _tracking_rows(
-    label: str, what: str, tracking: Tracking, part: Literal["error", "dynamic"], *, after_stop: bool = False
-) -> Figure:
-    """Draw a part of the tracking error in a row for each axis; of the error its static part, too.
-
-    Below the error is the bent tool's distance from its path.
-    """
-    whole = part == "error"
-    figure = _figure(label, 6.5 if whole else 5.0)
-    rows: Sequence[Axes] = figure.subplots(3 + whole, 1, sharex=True)
-    motions = tracking.motions
-    for number, axes in enumerate(rows[:3]):
-        axes.set_ylabel(f"{what}\nalong {'xyz'[number]}, mm")
-        for name, motion in motions:
-            start = motion.stop if after_stop else 0.0  # the work starts at 0
-            shown = motion.t >= start
-            y = 1e3 * getattr(motion, part)[shown, number]
-            _draw_curves(axes, [Curve(motion=name, t=motion.t[shown] - start, y=y)])
-        for _, motion in () if after_stop else motions:
-            if whole:
-                static = 1e3 * motion.static[:, number]
-                axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
-            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
-    if whole:
-        _draw_curves(rows[3], off_path_curves(tracking))
-        rows[3].set_ylabel("distance\nfrom the path, mm")
-        rows[3].set_ylim(bottom=0.0)
-    rows[-1].set_xlabel(f"time after the {'stop' if after_stop else 'work began'}, s")
-    figure.align_ylabels(list(rows))
+def _tracking_error(tracking: Tracking) -> Figure:
+    """Draw the tracking error in a row for each axis, with its static part."""
+    figure, rows = _rows("tracking_error", tracking, 3)
+    for number, axes in enumerate(rows):
+        axes.set_ylabel(f"tracking error\nalong {'xyz'[number]}, mm")
+        _draw_curves(axes, [Curve(motion=n, t=m.t, y=1e3 * m.error[:, number]) for n, m in tracking.motions])
+        for _, motion in tracking.motions:
+            static = 1e3 * motion.static[:, number]
+            axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
     _legend(figure, rows[0])
     return figure
+
+
+def _path_and_torque(tracking: Tracking) -> Figure:
+    """Draw the bent tool's distance from its path above the torque on the base, where that bends."""
+    torque = base_torque_curves(tracking)
+    figure, rows = _rows("tracking_path", tracking, 2 if torque else 1)
+    names = "distance\nfrom the path, mm", "torque on the base\nwith vibration, Nm"
+    for axes, name, curves in zip(rows, names, (off_path_curves(tracking), torque), strict=False):
+        _draw_curves(axes, curves)
+        axes.set_ylabel(name)
+    rows[0].set_ylim(bottom=0.0)
+    _legend(figure, rows[0])
+    return figure
+
+
+def _rows(label: str, tracking: Tracking, count: int) -> tuple[Figure, list[Axes]]:
+    """Plots above each other on the simulation's clock, with the times at which the joints stop."""
+    figure = _figure(label, 0.5 + 1.5 * count)
+    rows = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+    for axes in rows:
+        for _, motion in tracking.motions:
+            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+    rows[-1].set_xlabel("time after the work began, s")
+    figure.align_ylabels(rows)
+    return figure, rows
 
 
 def _figure(label: str, height: float) -> Figure:

@@ -17,7 +17,7 @@ from cmbot.planning import Plan, Progress
 from cmbot.simulation import Tracking
 
 FIGURES = {"guardrail_torque", "joints", "clearance", "tool_deviation"}
-TRACKING_FIGURES = {"tracking_error", "tracking_dynamic", "tracking_residual"}
+TRACKING_FIGURES = {"tracking_error", "tracking_path"}
 
 
 @pytest.fixture(autouse=True)

@@ -35,7 +35,7 @@ PAGES = ("replay.html", "report.html")
 WRITTEN = (*TABLES, "tracking.json", *PAGES)
 COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
 COLUMNS += ["off_path_x", "off_path_y", "off_path_z", "off_path"]
-COLUMNS += ["base_x", "base_y", "base_z", "base_rotation_x", "base_rotation_y", "base_rotation_z"]
+COLUMNS += [f"base{part}_{axis}" for part in ("", "_rotation", "_torque") for axis in "xyz"]
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,8 @@ def test_it_adds_tables_of_the_errors_and_changes_no_other(
         np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-12)
         np.testing.assert_allclose(table[:, 1:4], motion.error, atol=1e-12)
         off = np.column_stack([motion.path_error, motion.off_path])
-        np.testing.assert_allclose(table[:, 4:], np.hstack([motion.static, off, motion.base]), atol=1e-12)
+        expected = np.hstack([motion.static, off, motion.base, motion.base_torque])
+        np.testing.assert_allclose(table[:, 4:], expected, atol=1e-12)
 
 
 def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved_short: Path) -> None:

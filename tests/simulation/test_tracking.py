@@ -11,15 +11,18 @@ import pytest
 from small_motions import arm_on_its_guardrail, swing
 from small_scenes import parts, short_scene
 
+import cmbot
 from cmbot.common.errors import InputError, SimulationDiverged
 from cmbot.elastic import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask
 from cmbot.robot import Kinematics, Robot
+from cmbot.scene import Scene, load_scene
 from cmbot.simulation import (
     PrescribedMotion,
     SimulationOptions,
     Tracking,
+    base_movement,
     interval_rows,
     simulate,
     track,
@@ -118,6 +121,52 @@ def test_the_base_gives_way_to_the_wrench_on_it_as_its_stiffness_says(
     # At rest in its first posture; the loads of the bent arm are a little different.
     for part in (slice(3), slice(3, 6)):
         assert moved[0, part] == pytest.approx(expected[part], abs=0.03 * np.abs(expected[part]).max())
+    borne = short_plan.samples.guardrail_torque[0]
+    assert tracking.planned.base_torque is not None
+    assert tracking.planned.base_torque[0] == pytest.approx(borne, abs=0.03 * np.linalg.norm(borne))
+
+
+def test_a_mast_moves_at_its_end_and_bears_what_handbooks_say() -> None:
+    """A cantilever with a force and a moment at its end, wherever W is: at the clamp, or at the end."""
+    L, EI = 1.6, 70e9 * np.pi / 64 * (0.09**4 - 0.08**4)
+    found = []
+    for floor in (0.0, -L):
+        plan = cmbot.plan(on_a_mast(floor, L), progress=False)
+        tracking = simulate(plan, replace(OPTIONS, settle_s=1.0), progress=False)
+        base, torque = tracking.planned.base, tracking.planned.base_torque
+        assert base is not None and torque is not None
+        found.append(base[0])
+        (dx, dy, _), (rx, ry, _) = base[:, :3].T, base[:, 3:].T
+        ends = [
+            np.stack([-6 * EI / L**2 * dy - 2 * EI / L * rx, 6 * EI / L**2 * dx - 2 * EI / L * ry], axis=1),
+            np.stack([6 * EI / L**2 * dy + 4 * EI / L * rx, -6 * EI / L**2 * dx + 4 * EI / L * ry], axis=1),
+        ]
+        still = plan.robot.model.inertias[0]
+        weight = np.cross(still.lever, still.mass * plan.robot.model.gravity.linear)
+        expected = ends[0 if floor == 0 else 1] - weight[:2]
+        np.testing.assert_allclose(torque[:, :2], expected, atol=2e-3 * np.abs(expected).max())
+        after = torque[tracking.planned.t > tracking.planned.stop]
+        assert np.ptp(after, axis=0).max() > 1e-3
+        said = base_movement(plan, tracking)
+        assert f"at (0, 0, {floor + L:g}) m, the mast moves by up to" in said
+        assert f"up to {np.linalg.norm(torque[: -len(after)], axis=1).max():.2f} Nm about (0, 0, 0) m" in said
+    # Rotations are of first order about the origin of W.
+    np.testing.assert_allclose(found[0], found[1], atol=0.01 * np.abs(found[0]).max())
+
+
+def on_a_mast(floor: float, length: float) -> Scene:
+    """A Panda on a mast that begins at a height of W, a short stroke before it."""
+    tube = {
+        **{"start_m": [0, 0, floor], "end_m": [0, 0, floor + length], "outer_diameter_m": 0.09},
+        **{"wall_m": 0.005, "young_pa": 70e9, "shear_pa": 26e9, "density_kg_m3": 2700},
+    }
+    data = load_scene("mast_inspection").as_data()
+    data["robot"] |= {"mount": {"xyz": [0, 0, floor + length], "rpy_deg": [0, 0, 0]}}
+    path = {"legs": [{"by": [0, 0.1, 0], "seconds": 2}], "keep": "axis", "via_points": 8}
+    posture = [-26.7447, -0.414, 0.1791, -108.2655, 0.0014, 107.8515, 18.434]
+    changes = {"tool_path": path, "start": {"posture_deg": posture}, "obstacles": []}
+    changes["planner"] = {"knots": "fixed", "path_step_s": 0.02, "compensate": False, "quiet_modes": 0}
+    return load_scene(data | changes | {"base": {"name": "mast", "tube": tube}})
 
 
 def test_the_largest_rotation_of_the_base_is_an_angle(tracking: Tracking) -> None:

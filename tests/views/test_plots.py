@@ -20,7 +20,7 @@ from cmbot.simulation import Tracking
 from cmbot.views import figure_files, plot, plots
 
 PLAN = ("guardrail_torque", "joints", "clearance", "tool_deviation")
-TRACKING = ("tracking_error", "tracking_dynamic", "tracking_residual")
+TRACKING = ("tracking_error", "tracking_path")
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +57,13 @@ def assert_drawn(line: Line2D, t: np.ndarray, y: np.ndarray) -> None:
     assert (drawn_t[0], drawn_t[-1]) == (t[0], t[-1])
 
 
-def test_every_figure_has_a_name_and_without_a_residual_there_is_none_of_it(
+def test_every_figure_has_a_name_and_a_rigid_base_no_torque(
     figures: dict[str, Figure], tracked: dict[str, Figure], short_tracking: Tracking
 ) -> None:
     assert tuple(figures) == PLAN
     assert tuple(tracked) == TRACKING
-    without_rest = {
-        name: replace(motion, metrics=replace(motion.metrics, residual=None))
-        for name, motion in (("baseline", short_tracking.baseline), ("planned", short_tracking.planned))
-    }
-    assert tuple(labelled(plot(replace(short_tracking, **without_rest)))) == TRACKING[:2]
+    rigid = replace(short_tracking, baseline=None, planned=replace(short_tracking.planned, base_torque=None))
+    assert len(labelled(plot(rigid))["tracking_path"].axes) == 1
 
 
 def test_the_torque_with_its_floor_and_the_approach(
@@ -142,20 +139,17 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
 
 def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
     motions = ((plots._BASELINE, short_tracking.baseline), (plots._PLANNED, short_tracking.planned))
-    *_, off = tracked["tracking_error"].axes
+    off, torque = tracked["tracking_path"].axes
+    assert torque.get_ylim()[0] > 0.9 * np.linalg.norm(motions[1][1].base_torque, axis=1).min() > 0
     for colour, motion in motions:
-        assert_drawn(*lines(off, colour), motion.t, 1e3 * motion.off_path)
-    rows = zip(*(tracked[name].axes[:3] for name in TRACKING), strict=True)
-    for number, (axes, dynamic, residual) in enumerate(rows):
+        assert_drawn(lines(off, colour)[0], motion.t, 1e3 * motion.off_path)
+        assert_drawn(lines(torque, colour)[0], motion.t, np.linalg.norm(motion.base_torque, axis=1))
+    for number, axes in enumerate(tracked["tracking_error"].axes):
         static = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
         assert len(static) == 2
         for dotted, (colour, motion) in zip(static, motions, strict=True):
             assert_drawn(*lines(axes, colour), motion.t, 1e3 * motion.error[:, number])
             np.testing.assert_allclose(dotted.get_ydata(), 1e3 * motion.static[:, number])
-            values = 1e3 * (motion.error - motion.static)[:, number]
-            assert_drawn(lines(dynamic, colour)[0], motion.t, values)
-            after = motion.t >= motion.stop
-            assert_drawn(lines(residual, colour)[0], motion.t[after] - motion.stop, values[after])
         assert axes.get_ylabel().endswith(f"along {'xyz'[number]}, mm")
     (legend,) = tracked["tracking_error"].legends
     assert [text.get_text() for text in legend.get_texts()] == ["baseline", "planned", "static part"]

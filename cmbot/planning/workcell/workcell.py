@@ -319,11 +319,17 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
         raise SceneError(scene.source, "base.tube.end_m", got, f"at most {_MOST_BESIDE_M:g} m")
 
 
+def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
+    """Return where the base holds the robot, m, in W: at its foot, or at the arm's base frame."""
+    frame = robot.model.frames[robot.model.getFrameId(robot.base_frame)]
+    held: list[float] = frame.placement.translation.tolist()
+    return robot.foot_point if scene.on_guardrail else held
+
+
 def _beside_tube(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
     """How far a tube ends from the arm, m, zero without one, and where the arm's base is."""
     tube = None if scene.base is None else scene.base.tube
-    frame = robot.model.frames[robot.model.getFrameId(robot.base_frame)]
-    held = robot.foot_point if scene.on_guardrail else frame.placement.translation.tolist()
+    held = held_point(scene, robot)
     if tube is None or math.dist(tube.end_m, robot.base_point) <= _TOLD_BESIDE_M:
         return 0.0, held
     return min(math.dist(tube.end_m, point) for point in (held, robot.base_point)), held
