@@ -163,8 +163,8 @@ class Frames:
         """Return a motion at `times` (F,), ready for JSON; arrays are packed, in W and SI units.
 
         ``poses`` (F, n, 7) are those of the arm's joint frames, as position and quaternion x, y, z, w;
-        ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
-        `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
+        ``near`` (F, 7) the nearest points on the arm and on the other shape and the distance of that pair,
+        ``pair`` (F,) an index into `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
         where that is compensated, as ``expected`` tells; ``error`` (F, 3) the tracking error from there, null
         without `tracking`; ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null
         where nothing bends, with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as
@@ -215,11 +215,11 @@ class Frames:
         return holding.share(np.hstack([samples.guardrail_force, samples.guardrail_torque]))[0]
 
     def _nearest(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Nearest points (F, 6) and pairs (F,) in postures `q` (F, n).
+        """Nearest points with their distances (F, 7), and pairs (F,) in postures `q` (F, n).
 
         Links that are always as near to each other tell nothing: then what can be avoided is shown, if near.
         """
-        points, pairs = np.zeros((len(q), 6)), np.full(len(q), -1.0)
+        near, pairs = np.zeros((len(q), 7)), np.full(len(q), -1.0)
         smallest = self.clearances.query(q)
         nearest, distance = smallest.pair.copy(), smallest.distance.copy()
         if (fixed := np.isin(nearest, self._fixed(q, nearest))).any():
@@ -228,9 +228,10 @@ class Frames:
             nearest[instead], distance[instead] = other.pair[instead], other.distance[instead]
         for k in np.flatnonzero(distance < self._near):
             number = int(nearest[k])
-            points[k], shapes = self.clearances.nearest_points(q[k], number), self.clearances.pairs[number]
+            near[k, :6], shapes = self.clearances.nearest_points(q[k], number), self.clearances.pairs[number]
             pairs[k] = self.pairs.setdefault(f"{shapes.link}{_PAIR_SEPARATOR}{shapes.other}", len(self.pairs))
-        return points, pairs
+        near[:, 6] = np.where(pairs < 0, 0.0, distance)
+        return near, pairs
 
     def _fixed(self, q: FloatArray, pairs: IntArray) -> list[int]:
         """Which of `pairs` are as near in all of the postures `q` (F, n), as some of them tell."""

@@ -67,7 +67,7 @@ def _data(walk: Walk) -> dict[str, Any]:
         "poses": pack(poses),
         "torque": pack(np.zeros((frames, 3))),
         "clearance": pack(np.full(frames, np.nan)),
-        "near": pack(np.zeros((frames, 6))),
+        "near": pack(np.zeros((frames, 7))),
         "pair": pack(np.full(frames, -1.0)),
         "q": pack(np.hstack([climber, arm])),
         "load": pack(_loads(times, samples, body.links)),

@@ -145,7 +145,7 @@ def test_nearest_points_are_those_of_what_can_come_nearer(
     near_by = triangle_plan.options.avoidance_distance_m
     seen = set()
     for motion in (data["planned"], data["baseline"], data["approach"]["planned"], data["rest"]["planned"]):
-        near, pair, q = floats(motion["near"], 2, 3), floats(motion["pair"]), floats(motion["q"], 7)
+        near, pair, q = floats(motion["near"], 7), floats(motion["pair"]), floats(motion["q"], 7)
         distance = np.array(
             [
                 clearances.distances(q, np.arange(len(q)), np.full(len(q), k))
@@ -158,8 +158,10 @@ def test_nearest_points_are_those_of_what_can_come_nearer(
         instead = (distance.argmin(axis=0) == always) & (obstacles < near_by)
         expected = np.where(instead, obstacles, distance.min(axis=0))
         shown = pair >= 0
-        far = np.linalg.norm(near[:, 0] - near[:, 1], axis=1)
-        np.testing.assert_allclose(far[shown], expected[shown], atol=2e-4)
+        far = np.linalg.norm(near[:, :3] - near[:, 3:6], axis=1)
+        # The label's distance is that of the pair that it names.
+        for told in (far, near[:, 6]):
+            np.testing.assert_allclose(told[shown], expected[shown], atol=2e-4)
         assert (expected[~shown] >= near_by - 2e-4).all()
         seen |= {data["pairs"][int(k)] for k in pair[shown]}
     assert {"link_5 – slab"} < seen

@@ -32,11 +32,9 @@ class Motion {
     link.quaternion.copy(r[0].slerp(r[1], share));
   }
 
-  // Interpolated vector of values with `width` numbers a frame, from number `first` on.
-  vectorAt(values, moment, width = 3, first = 0) {
-    const [frame, share] = this.between(moment);
-    const v = [0, 1].map((k) => new THREE.Vector3().fromArray(values, width * (frame + k) + first));
-    return v[0].lerp(v[1], share);
+  // Interpolated vector of values with three numbers a frame.
+  vectorAt(values, moment) {
+    return new THREE.Vector3().fromArray(this.numbersAt(values, moment));
   }
 
   // Interpolated numbers of a frame.
@@ -54,14 +52,15 @@ class Motion {
     return share ? (1 - share) * this.clearance[frame] + share * this.clearance[frame + 1] : this.clearance[frame];
   }
 
-  // Nearest points. Between frames with different pairs they are not interpolated.
+  // Nearest points and their distance. Between frames with different pairs they are not interpolated.
   nearAt(moment) {
     const [frame, share] = this.between(moment);
     const nearest = share < 0.5 ? frame : frame + 1, pair = this.pair[nearest];
     if (pair < 0) return null;
     const at = this.pair[frame] === this.pair[frame + 1] ? moment : nearest / (this.norms.length - 1);
-    const [point, other] = [0, 3].map((first) => this.vectorAt(this.near, at, 6, first));
-    return { point, other, pair, distance: this.clearanceAt(moment) };
+    const near = this.numbersAt(this.near, at);
+    const [point, other] = [0, 3].map((first) => new THREE.Vector3().fromArray(near, first));
+    return { point, other, pair, distance: near[6] };
   }
 
   toolAt(moment) {
