@@ -164,11 +164,11 @@ class Frames:
 
         ``poses`` (F, n, 7) are those of the arm's joint frames, as position and quaternion x, y, z, w;
         ``near`` (F, 7) the nearest points on the arm and on the other shape and the distance of that pair,
-        ``pair`` (F,) an index into `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
-        where that is compensated, as ``expected`` tells; ``error`` (F, 3) the tracking error from there, null
-        without `tracking`; ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null
-        where nothing bends, with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as
-        shares of their bounds;
+        ``pair`` (F,) an index into `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool
+        point, with its predicted sag where that is compensated, as ``expected`` tells; ``error`` (F, 3) the
+        tracking error from there, null without `tracking`; ``q`` (F, n) the joint positions and ``u`` (F, f)
+        the elastic coordinates, null where nothing bends, with the tool `on` in these intervals;
+        ``load`` (F, n) the joints' torques as shares of their bounds;
         ``hold`` (F,) the share that the arm uses of what the feet bear, null where that is not known;
         ``strain`` the largest of guardrail and links.
         After its last sample the motion rests there.

@@ -1,4 +1,4 @@
-"""A mast, column or boom that the robot stands on: a round tube that is clamped at one end."""
+"""A mast, column or boom that the robot stands on: a tube that is clamped at one end."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pydantic import AfterValidator, Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.reading.fields import Modulus, Thickness, Vector, require_tube
-from cmbot.common.reading.validation import FileModel, refusal
+from cmbot.common.reading.fields import Modulus, OneOf, Thickness, Vector, require_tube
+from cmbot.common.reading.validation import refusal
 from cmbot.elastic import beam_mass, beam_stiffness
 
 # No material of a mast is as light, kg/m3.
@@ -27,20 +27,24 @@ def _in_kilograms(density: float) -> float:
 Density = Annotated[float, Field(ge=0, le=1e5), AfterValidator(_in_kilograms)]
 
 
-class TubeFile(FileModel):
-    """What the robot stands on, as a round tube that is clamped at its start.
+class TubeFile(OneOf):
+    """What the robot stands on, as a round or rectangular tube that is clamped at its start.
 
     An Euler-Bernoulli beam with its consistent mass, in place of the guardrail's stiffness and mass.
     """
+
+    one_of = ("outer_diameter_m", "outer_m")
 
     start_m: Vector
     """Where it is clamped, m, in W."""
     end_m: Vector = (0.0, 0.0, 0.0)
     """Where it holds the arm, m, in W; left out: the origin of W."""
-    outer_diameter_m: Thickness
-    """Of the tube."""
+    outer_diameter_m: Thickness | None = None
+    """Of a round tube."""
+    outer_m: tuple[Thickness, Thickness] | None = None
+    """Sides of an upright box along x and y of W; of another one, turned with its axis the shortest way."""
     wall_m: Thickness
-    """Its wall; half the diameter: a solid bar."""
+    """Its wall; half the diameter: a solid bar; of a box at most a quarter of a side."""
     young_pa: Modulus
     """Young's modulus, Pa: aluminium 70e9, steel 206e9."""
     shear_pa: Modulus
@@ -49,22 +53,46 @@ class TubeFile(FileModel):
     """Of its material: aluminium 2700, steel 7850."""
 
     def _check(self) -> None:
-        if math.dist(self.start_m, self.end_m) < self.outer_diameter_m:
-            expected = "an end farther from start_m than outer_diameter_m"
-            raise refusal(expected, got=self.end_m, key=("end_m",))
-        require_tube(self.start_m, self.end_m, self.outer_diameter_m, self.wall_m)
+        super()._check()
+        outer = min(self.outer_m or (self.outer_diameter_m or 0.0,))
+        if math.dist(self.start_m, self.end_m) < max(self.outer_m or (outer,)):
+            raise refusal(f"an end farther from start_m than {self.given}", got=self.end_m, key=("end_m",))
+        if self.outer_m and self.wall_m > outer / 4:
+            expected = "at most a quarter of a side of outer_m: torsion is that of a thin wall"
+            raise refusal(expected, got=self.wall_m, key=("wall_m",))
+        require_tube(self.start_m, self.end_m, outer, self.wall_m)
+
+    @property
+    def _section(self) -> tuple[float, float, float, float]:
+        """Area, m2, torsion constant and second moments about x and y of the upright tube, m4."""
+        wall = self.wall_m
+        if self.outer_m is None:
+            outer = self.outer_diameter_m or 0.0
+            inner = outer - 2 * wall
+            second = math.pi / 64 * (outer**4 - inner**4)
+            return math.pi / 4 * (outer**2 - inner**2), 2 * second, second, second
+        a, b = self.outer_m
+        inner_a, inner_b = a - 2 * wall, b - 2 * wall
+        # Bredt: four times the square of the area within the wall's middle, over its length by the wall.
+        twist = 2 * wall * ((a - wall) * (b - wall)) ** 2 / (a + b - 2 * wall)
+        about = (
+            (x * y**3 - ix * iy**3) / 12
+            for x, y, ix, iy in ((a, b, inner_a, inner_b), (b, a, inner_b, inner_a))
+        )
+        return a * b - inner_a * inner_b, twist, *about
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""
-        outer, end, E = self.outer_diameter_m, np.array(self.end_m), self.young_pa
-        L, inner = np.array([math.dist(self.start_m, end)]), outer - 2 * self.wall_m
-        area, second = math.pi / 4 * (outer**2 - inner**2), math.pi / 64 * (outer**4 - inner**4)
-        m, EI = self.density_kg_m3 * area * L, np.array([E * second])
-        # Any two axes across a round tube's own are principal.
-        axes = Rotation.align_vectors(end - self.start_m, [1.0, 0.0, 0.0])[0].as_matrix()[None]
-        EA, GJ = np.array([E * area]), np.array([2 * self.shear_pa * second])
-        stiffness = beam_stiffness(axes, L, EA, GJ, EI, EI)
-        mass = beam_mass(axes, L, m, 2 * second / area * m)
+        end = np.array(self.end_m)
+        along = end - self.start_m
+        L = np.array([np.linalg.norm(along)])
+        area, twist, *second = (np.array([each]) for each in self._section)
+        # A box is the same upside down.
+        turn = Rotation.align_vectors(along if along[2] >= 0 else -along, [0.0, 0.0, 1.0])[0].as_matrix()
+        axes = np.column_stack([along / L, turn[:, 0], np.cross(along / L, turn[:, 0])])[None]
+        E, m = self.young_pa, self.density_kg_m3 * area * L
+        stiffness = beam_stiffness(axes, L, E * area, self.shear_pa * twist, E * second[0], E * second[1])
+        mass = beam_mass(axes, L, m, sum(second) / area * m)
         moved = np.eye(6)
         moved[:3, 3:] = np.cross(end, np.eye(3))
         of_end = (matrix[0, 6:, 6:] for matrix in (stiffness, mass))

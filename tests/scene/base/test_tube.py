@@ -22,7 +22,8 @@ COORDINATES = st.tuples(*[st.floats(-3, 3)] * 3)
 
 def standing_on(**tube: Any) -> Scene:
     data = short_scene(guardrail={"bays": 0}).as_data()
-    return load_scene(data | {"base": {"name": "mast", "tube": MAST | tube}})
+    keys = {key: value for key, value in (MAST | tube).items() if value is not None}
+    return load_scene(data | {"base": {"name": "mast", "tube": keys}})
 
 
 def test_a_tip_bends_as_handbooks_say() -> None:
@@ -33,6 +34,41 @@ def test_a_tip_bends_as_handbooks_say() -> None:
     area = np.pi / 4 * (0.1**2 - 0.092**2)
     np.testing.assert_allclose(1 / compliance[2, 2], 70e9 * area / L)
     np.testing.assert_allclose(1 / compliance[5, 5], 26e9 * 2 * EI / 70e9 / L)
+
+
+@pytest.mark.parametrize("along", [(0, 0, 1), (0, 0, -1), (0, 1, 0), (1, 0, 0)])
+def test_a_box_bends_by_its_sides_and_twists_by_bredt(along: tuple[int, int, int]) -> None:
+    """A horizontal box is the upright one laid down along y or x the shortest way."""
+    a, b, w, L = 0.12, 0.06, 0.004, 1.6
+    sides = {
+        "outer_diameter_m": None,
+        "outer_m": [a, b],
+        "wall_m": w,
+        "start_m": (-L * np.array(along)).tolist(),
+    }
+    guardrail = standing_on(**sides).elastic_guardrail
+    compliance = np.linalg.inv(guardrail.stiffness)
+    # Side a lies along x, but along z where the tube does; side b along y, or along z.
+    across = {"x": (0, a), "y": (1, b)}
+    if along == (0, 1, 0):
+        across["y"] = (2, b)
+    if along == (1, 0, 0):
+        across["x"] = (2, a)
+    (first, wide), (second, narrow) = across.values()
+    # Four plates with Steiner's parts, not differences of rectangles.
+    for axis, side, other in ((first, wide, narrow), (second, narrow, wide)):
+        plates = 2 * w * side**3 / 12
+        flanges = 2 * ((other - 2 * w) * w**3 / 12 + (other - 2 * w) * w * ((side - w) / 2) ** 2)
+        assert 1 / compliance[axis, axis] == pytest.approx(3 * 70e9 * (plates + flanges) / L**3, rel=1e-9)
+    axis = int(np.flatnonzero(along)[0])
+    area = 2 * w * (a + b - 2 * w)
+    assert 1 / compliance[axis, axis] == pytest.approx(70e9 * area / L, rel=1e-9)
+    enclosed, round_it = (a - w) * (b - w), 2 * (a + b - 2 * w)
+    assert 1 / compliance[3 + axis, 3 + axis] == pytest.approx(
+        26e9 * 4 * enclosed**2 * w / round_it / L, rel=1e-9
+    )
+    assert guardrail.mass is not None
+    assert guardrail.mass[axis, axis] == pytest.approx(2700 * area * L / 3, rel=1e-9)
 
 
 @given(start=COORDINATES, end=COORDINATES)
@@ -65,6 +101,9 @@ def test_anywhere_it_is_an_element_of_a_frame(start: tuple[float, ...], end: tup
         ({"young_pa": 70}, "GPa[?] then 70e[+]9"),
         ({"density_kg_m3": 2.7}, "g/cm3[?] then 2700"),
         ({"end_m": [0, 0, -2.5]}, "farther from start_m"),
+        ({"outer_m": [0.1, 0.1]}, "outer_diameter_m"),
+        ({"outer_diameter_m": None}, "outer_m"),
+        ({"outer_diameter_m": None, "outer_m": [0.1, 0.05], "wall_m": 0.02}, "thin wall"),
     ],
 )
 def test_what_is_no_tube_is_refused(tube: dict[str, Any], expected: str) -> None:
