@@ -129,5 +129,6 @@ from cmbot.planning.workcell.workcell import (
     rigid_parts_remark as rigid_parts_remark,
     robot_of as robot_of,
     sag_of as sag_of,
+    tube_warning as tube_warning,
 )
 from cmbot.trajectory import QuinticTrajectory as QuinticTrajectory, SplineSpace as SplineSpace

@@ -26,7 +26,7 @@ from cmbot.planning.result.judgement import (
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
-from cmbot.planning.workcell.workcell import held_guardrail, rigid_parts_remark
+from cmbot.planning.workcell.workcell import held_guardrail, rigid_parts_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, Uncertainty
 
@@ -228,9 +228,12 @@ def _told(plan: Plan) -> Iterator[Note]:
         yield Note(level="warning", key="fallback", values={"text": text})
     for text in plan.robot.remarks:
         yield Note(level="warning", key="robot", values={"text": text})
-    for stiffness in (rigid_parts_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
-        if stiffness:
-            yield Note(level="note", key="stiffness", values={"text": stiffness})
+    tube, rigid = tube_warning(plan.scene, plan.robot), rigid_parts_remark(plan.scene, plan.robot)
+    if tube:
+        yield Note(level="warning", key="stiffness", values={"text": tube.rstrip()})
+    for told in (rigid.removeprefix(tube), identified_in_words(plan.scene)):
+        if told:
+            yield Note(level="note", key="stiffness", values={"text": told})
     yield from _slid(plan)
     for key, looks, units in mistaken_units(plan.scene):
         yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.accuracy import stroke_sway
-from cmbot.collision import Clearances, Obstacle
+from cmbot.collision import Clearances, Obstacle, extent_of
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, ModelError, SceneError
 from cmbot.common.representation import ShortRepr
@@ -34,6 +34,8 @@ _KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked
 _MOST_BESIDE_M = 0.5
 # From where on that is told: a flange or a plate is as high.
 _TOLD_BESIDE_M = 0.05
+# How much of a tube its obstacle may leave out.
+_MOST_LEFT_OUT_M = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,15 +200,27 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
 
 def rigid_parts_remark(scene: Scene, robot: Robot) -> str:
     """Say what is taken to be rigid: an arm without an elasticity file, and what is between it and a tube."""
-    away, held = _beside_tube(scene, robot)
-    base, where = scene.base_name, _numbers(held)
-    between = (
-        f"The {base} ends {away:.2g} m from the arm's base at ({where}) m: what is between is taken to be "
-        "rigid (base.tube.end_m). "
-    )
     rigid = not (robot.elasticity or robot.joint_elasticity) and bending_arm(scene, robot) is not None
-    only = f"Links and joints are taken to be rigid, without an elasticity file; only the {base} bends."
-    return (between * (away > _TOLD_BESIDE_M) + only * rigid).rstrip()
+    only = "Links and joints are taken to be rigid, without an elasticity file; "
+    return f"{tube_warning(scene, robot)}{f'{only}only the {scene.base_name} bends.' * rigid}".rstrip()
+
+
+def tube_warning(scene: Scene, robot: Robot) -> str:
+    """Say that a tube ends beside the arm, or is longer than its obstacle; empty where it fits."""
+    (away, held), base, text = _beside_tube(scene, robot), scene.base_name, ""
+    if away > _TOLD_BESIDE_M:
+        text = (
+            f"The {base} ends {away:.2g} m from the arm's base at ({_numbers(held)}) m: what is between is "
+            "taken to be rigid (base.tube.end_m). "
+        )
+    tube = None if scene.base is None else scene.base.tube
+    for obstacle in scene.all_obstacles:
+        if tube is not None and obstacle.name == base:
+            ends, (low, high) = np.array([tube.start_m, tube.end_m]), extent_of(obstacle)
+            left_out = float(max(*(low - ends.min(axis=0)), *(ends.max(axis=0) - high)))
+            if left_out > _MOST_LEFT_OUT_M:
+                text += f"The obstacle {base} leaves out {left_out:.2g} m of base.tube. "
+    return text
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
@@ -314,9 +328,13 @@ def robot_of(scene: Scene) -> Robot:
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
     away, held = _beside_tube(scene, robot)
-    if away > _MOST_BESIDE_M:
+    if scene.base and scene.base.tube and away > _MOST_BESIDE_M:
+        away = math.dist(scene.base.tube.end_m, held)
         got = f"an end {away:.3g} m from what it holds, the arm at ({_numbers(held)})"
-        raise SceneError(scene.source, "base.tube.end_m", got, f"at most {_MOST_BESIDE_M:g} m")
+        expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}]"
+        if not scene.on_guardrail:
+            expected += f", or robot.mount: {{xyz: [{_numbers(scene.base.tube.end_m)}], rpy_deg: [0, 0, 0]}}"
+        raise SceneError(scene.source, "base.tube.end_m", got, expected)
 
 
 def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
@@ -328,11 +346,12 @@ def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
 
 def _beside_tube(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
     """How far a tube ends from the arm, m, zero without one, and where the arm's base is."""
-    tube = None if scene.base is None else scene.base.tube
-    held = held_point(scene, robot)
-    if tube is None or math.dist(tube.end_m, robot.base_point) <= _TOLD_BESIDE_M:
+    tube, held = None if scene.base is None else scene.base.tube, held_point(scene, robot)
+    if tube is None:
         return 0.0, held
-    return min(math.dist(tube.end_m, point) for point in (held, robot.base_point)), held
+    # A column that lifts an arm may end at its first joint; a mount says where the arm stands.
+    points = [held] if scene.robot.mount else [held, robot.base_point]
+    return min(math.dist(tube.end_m, point) for point in points), held
 
 
 def _numbers(point: Sequence[float]) -> str:

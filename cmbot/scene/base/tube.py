@@ -75,11 +75,8 @@ class TubeFile(OneOf):
         inner_a, inner_b = a - 2 * wall, b - 2 * wall
         # Bredt: four times the square of the area within the wall's middle, over its length by the wall.
         twist = 2 * wall * ((a - wall) * (b - wall)) ** 2 / (a + b - 2 * wall)
-        about = (
-            (x * y**3 - ix * iy**3) / 12
-            for x, y, ix, iy in ((a, b, inner_a, inner_b), (b, a, inner_b, inner_a))
-        )
-        return a * b - inner_a * inner_b, twist, *about
+        about_x, about_y = (a * b**3 - inner_a * inner_b**3) / 12, (b * a**3 - inner_b * inner_a**3) / 12
+        return a * b - inner_a * inner_b, twist, about_x, about_y
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Return stiffness and mass (6, 6) about the origin of W, linear then angular, SI."""

@@ -10,7 +10,7 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.elastic.beam import beam_mass, beam_stiffness
-from cmbot.planning import rigid_parts_remark, robot_of
+from cmbot.planning import rigid_parts_remark, robot_of, tube_warning
 from cmbot.scene import Scene, load_scene
 
 MAST: dict[str, Any] = {
@@ -126,8 +126,16 @@ def test_a_tube_ends_where_the_arm_is() -> None:
     data = load_scene("mast_inspection").as_data()
     data["robot"] |= {"mount": {"xyz": [0.0, 0.6, 0.8], "rpy_deg": [0, 0, 0]}}
     said = r"base.tube.end_m: got an end 1 m from what it holds, the arm at \(0, 0.6, 0.8\), expected at most"
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(
+        SceneError, match=said + r" 0.5 m; set end_m: \[0, 0.6, 0.8\], or robot.mount: {xyz: \[0, 0, 0\]"
+    ):
         robot_of(load_scene(data))
+    # Below the first joint, which is 0.33 m above the arm's base.
+    for end in ([0.0, 0.6, 1.1], [0.0, 0.6, 0.72]):
+        data["base"]["tube"]["end_m"] = end
+        scene = load_scene(data)
+        away = f"The mast ends {abs(end[2] - 0.8):.2g} m from the arm's base"
+        assert tube_warning(scene, robot_of(scene)).startswith(away)
     data["base"]["tube"]["end_m"] = [0.0, 0.31, 0.41]
     scene = load_scene(data)
     robot = robot_of(scene)
@@ -139,3 +147,19 @@ def test_a_tube_ends_where_the_arm_is() -> None:
     data["base"]["tube"]["end_m"] = [0.0, 0.6, 0.8]
     scene = load_scene(data)
     assert "between" not in rigid_parts_remark(scene, robot_of(scene))
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "left_out"),
+    [
+        ({"cylinder": [0.05, 2.5], "xyz": [0, 0, -1.25]}, ""),
+        ({"box": [0.1, 0.1, 1.0], "xyz": [0, 0, -0.5]}, "The obstacle mast leaves out 1.5 m of base.tube"),
+        ({"box": [0.1, 0.1, 2.5], "xyz": [0, 0, -1.5]}, "The obstacle mast leaves out 0.25 m of base.tube"),
+    ],
+)
+def test_an_obstacle_that_is_shorter_than_its_tube_is_told(obstacle: dict[str, Any], left_out: str) -> None:
+    data = load_scene("mast_inspection").as_data()
+    data["obstacles"] = [{"name": "mast", **obstacle}]
+    scene = load_scene(data)
+    found = tube_warning(scene, robot_of(scene))
+    assert found.startswith(left_out) and bool(found) == bool(left_out)
