@@ -157,7 +157,7 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
         yield f"{why}: the best motion so far."
     number, asked = len(stroke.trial.chain[0].attempt.request.times), request.stroke.via_points
     if number != asked:
-        yield f"{number} via-points in place of {asked}: periods of the slowest mode are few."
+        yield f"{number} via-points in place of {asked}, for up to four in a period of the slowest mode."
     if (timing := stroke.trial.attempt.timing) is not None and timing.both is not None:
         yield (
             "As predicted, the shortest time of the legs is {:.4g} s within the limits (speed_profile.kind: "

@@ -72,9 +72,9 @@ class PlannerOptions(CheckedFields, ShortRepr):
         is at most two standard deviations.
     baseline : str
         The motion without optimisation that the plan is compared with. ``paper``: Chang 2021, Eq. (22), from
-        the scene's posture, by the paper's trapezoid where the plan's law is quiet. ``straight``: least-norm
-        steps along the same path, which is Eq. (22) without its part in the null space. ``none``: none is
-        computed, and the figures stand alone.
+        the scene's posture, by the paper's trapezoid in the same time where the plan's law is quiet: it
+        cruises at another speed. ``straight``: least-norm steps along the same path, timed as the plan is,
+        which is Eq. (22) without its part in the null space. ``none``: the figures stand alone.
     avoidance : str
         ``smooth``: the clearance gradient fades in, and blends from one near pair to the next. ``switch``:
         Eq. (17) to the letter; joint rates jump.

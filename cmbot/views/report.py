@@ -500,8 +500,10 @@ def _key(plan: Plan) -> str:
     key = '<i class="swatch planned"></i>planned'
     if plan.baseline is None:
         return key
-    motion = "the paper's motion, which is" if plan.options.baseline == "paper" else "straight steps,"
-    return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion} not optimised")}'
+    motion = "straight steps, timed as the plan is"
+    if plan.options.baseline == "paper":
+        motion = "the paper's motion, in the same time by its own trapezoid where the plan's law is quiet"
+    return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion}, not optimised")}'
 
 
 def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:

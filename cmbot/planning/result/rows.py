@@ -95,8 +95,9 @@ def _tool(plan: Plan) -> Iterator[Row]:
         yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
     if (sway := plan.sway) is not None:
         (swayed, swung), swing = plan.baseline_sway or (None, None), 1e-3 * sway.swing_mm
-        yield _row("tool swings after the stop", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
-        yield _row("largest sway at work", "sway.sway_mm", "mm", ".3f", 1e-3 * sway.sway_mm, swayed)
+        of = f", stiffness ±{100 * sway.stiffness_share:g} %"
+        yield _row(f"tool swings after the stop{of}", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
+        yield _row(f"largest sway at work{of}", "sway.sway_mm", "mm", ".3f", 1e-3 * sway.sway_mm, swayed)
         if sway.unshaped_sway_mm is not None and sway.unshaped_swing_mm is not None:
             alone, swing = 1e-3 * sway.unshaped_sway_mm, 1e-3 * sway.unshaped_swing_mm
             yield _row("sway by speed_profile alone", "sway.unshaped_sway_mm", "mm", ".3f", alone)

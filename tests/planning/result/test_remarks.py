@@ -195,7 +195,10 @@ def test_the_largest_swing_of_all_strokes_is_told(strokes_plan: Plan) -> None:
     arm = bending_arm(strokes_plan.scene, strokes_plan.robot)
     share = strokes_plan.options.quiet_stiffness_share
     swings = [stroke_sway(arm, each.trajectory, share).largest[1] for each in strokes_plan.job.strokes]
-    assert row(strokes_plan, "tool swings after the stop")[-1] == f"{1e3 * max(swings):.3f}"
+    assert (
+        row(strokes_plan, f"tool swings after the stop, stiffness ±{100 * share:g} %")[-1]
+        == f"{1e3 * max(swings):.3f}"
+    )
 
 
 def test_the_baseline_sways_as_it_does_simulated(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
@@ -204,7 +207,8 @@ def test_the_baseline_sways_as_it_does_simulated(triangle_plan: Plan, triangle_t
     moving = np.linalg.norm(simulated.dynamic[simulated.t < simulated.stop], axis=1).max()
     swinging = pdist(simulated.dynamic[simulated.t >= simulated.stop - 1e-9]).max()
     np.testing.assert_allclose(alike.baseline_sway, (moving, swinging), rtol=0.1)
-    told = [row(triangle_plan, name)[-2] for name in ("largest sway at work", "tool swings after the stop")]
+    names = ("largest sway at work", "tool swings after the stop")
+    told = [row(triangle_plan, f"{name}, stiffness ±30 %")[-2] for name in names]
     assert told == [f"{1e3 * each:.3f}" for each in triangle_plan.baseline_sway]
     assert replace(triangle_plan, baseline=None).baseline_sway is None
 
