@@ -16,7 +16,7 @@ import cmbot
 from cmbot.archive import load_plan, load_tracking, save, save_tracking
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
-from cmbot.simulation import Tracking, base_movement, tracking_rows
+from cmbot.simulation import Tracking, tracking_rows
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +130,7 @@ def test_on_a_rigid_base_tables_have_no_column_of_it(
     short_plan: Plan, saved_short: Path, short_tracking: Tracking, tmp_path: Path
 ) -> None:
     assert short_tracking.baseline is not None and short_tracking.planned.base is not None
-    rigid = {"base": None, "base_torque": None}
-    motions = {name: replace(getattr(short_tracking, name), **rigid) for name in ("baseline", "planned")}
+    motions = {name: replace(getattr(short_tracking, name), base=None) for name in ("baseline", "planned")}
     folder = Path(shutil.copytree(saved_short, tmp_path / "short"))
     save_tracking(replace(short_tracking, **motions), folder)
     header = (folder / "tracking.csv").read_text(encoding="ascii").partition("\n")[0]
@@ -139,21 +138,6 @@ def test_on_a_rigid_base_tables_have_no_column_of_it(
     read = load_tracking(short_plan, folder)
     assert read is not None and read.planned.base is None and read.planned.largest_base_displacement == 0.0
     np.testing.assert_allclose(read.planned.error, short_tracking.planned.error, atol=1e-12)
-
-
-def test_files_without_the_torque_on_the_base_stay_readable(
-    short_plan: Plan, saved_short: Path, short_tracking: Tracking, tmp_path: Path
-) -> None:
-    assert short_tracking.baseline is not None
-    motions = {
-        name: replace(getattr(short_tracking, name), base_torque=None) for name in ("baseline", "planned")
-    }
-    folder = Path(shutil.copytree(saved_short, tmp_path / "short"))
-    save_tracking(replace(short_tracking, **motions), folder)
-    assert "base_torque" not in (folder / "tracking.csv").read_text(encoding="ascii")
-    read = load_tracking(short_plan, folder)
-    assert read is not None and read.planned.base_torque is None and read.planned.base is not None
-    assert base_movement(short_plan, read) == ""
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from small_scenes import short_scene, tool_points
 from cmbot.elastic.base import elastic_base, guardrail_frame
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
+from cmbot.scene import load_scene
 from cmbot.simulation import Tracking
 from cmbot.views import replay_page
 from cmbot.views.drawing.bending import Bending, drawn_factor, most_factor
@@ -158,6 +159,16 @@ def test_a_pole_is_a_slender_obstacle_at_the_foot(
     along = pole.beams[0, 1] - pole.beams[0, 0]
     assert along @ pole.beams[0, 1] == pytest.approx(0.0, abs=1e-12)  # its other end is at the foot, 0
     assert [each.name for each in supports(scene)] == [pole.name]
+
+
+def test_a_tube_bends_where_it_holds_the_arm_wherever_the_world_is() -> None:
+    """Clamped at the origin of W, it is drawn bent at its upper end."""
+    data = load_scene("mast_inspection").as_data()
+    data["robot"] |= {"mount": {"xyz": [0, 0, 2.5], "rpy_deg": [0, 0, 0]}}
+    data["base"]["tube"] |= {"start_m": [0, 0, 0], "end_m": [0, 0, 2.5]}
+    pole = pole_of(load_scene(data | {"obstacles": [MAST | {"xyz": [0, 0, 1.25]}]}))
+    assert pole is not None
+    np.testing.assert_allclose(pole.beams, [[[0, 0, 0], [0, 0, 2.5]]], atol=1e-12)
 
 
 def mesh_mast(tmp_path: Path, turned: bool) -> dict[str, Any]:

@@ -44,7 +44,8 @@ def pole_of(scene: Scene) -> Pole | None:
     if scene.elastic_guardrail.post_positions:
         return None
     found = []
-    foot = np.array(scene.elastic_guardrail.foot_point)
+    tube = None if scene.base is None else scene.base.tube
+    foot = np.array(scene.elastic_guardrail.foot_point if tube is None else tube.end_m)
     for obstacle in scene.all_obstacles:
         ends, radius = _axis(obstacle, foot)
         along = ends[1] - ends[0]
