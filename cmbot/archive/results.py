@@ -149,16 +149,15 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         raise ArchiveError(source, "baseline", got, expected)
     motions = dict[str, MotionTracking]()
     for name, work, sag in works:
-        header, many = contents[name].partition(b"\n")[0], len(_TRACKING_COLUMNS)
-        with_base = [k for k, column in enumerate(_BASE, start=1) if header.endswith(column.encode())]
-        columns = _TRACKING_COLUMNS + _BASE[: max(with_base, default=0)]
+        with_base = contents[name].partition(b"\n")[0].endswith(_BASE[-1].encode())
+        columns = _TRACKING_COLUMNS + _BASE if with_base else _TRACKING_COLUMNS
         table = read_table(contents[name], str(folder / name), columns)
         t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
         rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])
         frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
         execution = execution_error(plan.robot, work, t, file.options)
-        base = table[:, many:].copy() if with_base else None
+        base = table[:, len(_TRACKING_COLUMNS) :].copy() if with_base else None
         motion = motion_tracking(work, t, rigid + predicted, error, static, frequencies, execution, base)
         require_table(contents[name], _motion_csv(motion, name), str(folder / name))
         motions[_TABLES[name]] = motion
@@ -250,10 +249,9 @@ def excitation_json(excitation: Excitation) -> dict[str, Any]:
 
 def _motion_csv(motion: MotionTracking, source: str) -> bytes:
     """The table of a motion; distances from the path follow from the rest: others are refused on reading."""
-    parts = [motion.t, motion.error, motion.static, motion.path_error, motion.off_path]
-    parts += [part for part in (motion.base, motion.base_torque) if part is not None]
-    table = np.column_stack(parts)
-    return table_csv((_TRACKING_COLUMNS + _BASE)[: table.shape[1]], table, source)
+    bent = [] if motion.base is None else [motion.base]
+    parts = [motion.t, motion.error, motion.static, motion.path_error, motion.off_path, *bent]
+    return table_csv(_TRACKING_COLUMNS + (_BASE if bent else ()), np.column_stack(parts), source)
 
 
 def _read(

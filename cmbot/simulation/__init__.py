@@ -32,6 +32,5 @@ from cmbot.simulation.tracking import (
     expected_tool as expected_tool,
     motion_tracking as motion_tracking,
     simulate as simulate,
-    track as track,
     track_work as track_work,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -85,26 +85,23 @@ def base_movement(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    if any(motion.base_torque is None for _, motion in tracking.motions):
+    if any(motion.base is None for _, motion in tracking.motions):
         return ""
     *other, (way, turn, torque) = [
         (
             f"{1e3 * motion.largest_base_displacement:.3g} mm",
             f"{np.rad2deg(motion.largest_base_rotation):.3g} deg",
-            f"{motion.largest_base_torque or 0.0:.2f} Nm",
+            f"{motion.largest_base_torque:.2f} Nm",
         )
         for _, motion in tracking.motions
     ]
     beside = f" (baseline {', '.join(other[0])})" if other else ""
-    held, about = (_place(point) for point in (held_point(plan.scene, plan.robot), plan.robot.foot_point))
+    points = held_point(plan.scene, plan.robot), plan.robot.foot_point
+    held, about = (f"({', '.join(f'{x:.3g}' for x in point)}) m" for point in points)
     return (
         f"Where it holds the arm, at {held}, the {plan.scene.base_name} moves by up to {way} and turns by up "
         f"to {turn}; with vibration it bears up to {torque} about {about}{beside}."
     )
-
-
-def _place(point: Sequence[float]) -> str:
-    return f"({', '.join(f'{x:.3g}' for x in point)}) m"
 
 
 def beyond_margin(plan: Plan, tracking: Tracking) -> str:

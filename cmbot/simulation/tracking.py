@@ -23,7 +23,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
-from cmbot.planning import Plan, ToolTask, held_guardrail, held_point, require_plan, robot_of
+from cmbot.planning import Plan, held_guardrail, held_point, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated_base
 from cmbot.simulation.execution import executed, is_executed
@@ -68,12 +68,11 @@ class MotionTracking(ShortRepr):
     execution : (N, 3), m, or None
         Part of the error: the tool point of a rigid arm as the controller moves its joints, less that of the
         commanded ones. None where joints follow exactly.
-    base : (N, 6), m and rad, or None
+    base : (N, 9), m, rad and Nm, or None
         Displacement of the base where it holds the arm (`held_point`) along the axes of W, and its rotation,
-        first about x, then about the turned y, then about the turned z. None where the base is rigid.
-    base_torque : (N, 3), Nm, or None
-        What the bent base bears about O0 with vibration and sag: its stiffness times its deflection, less
-        the weight of what the joints do not move, as `Samples.guardrail_torque` has it without them.
+        first about x, then about the turned y, then about the turned z; the torque on it about O0, with sag
+        and vibration, which `Samples.guardrail_torque` has without them: stiffness times deflection, less the
+        weight of what the joints do not move. None where the base is rigid.
     """
 
     t: FloatArray
@@ -85,7 +84,6 @@ class MotionTracking(ShortRepr):
     metrics: ErrorMetrics
     execution: FloatArray | None = None
     base: FloatArray | None = None
-    base_torque: FloatArray | None = None
 
     @property
     def dynamic(self) -> FloatArray:
@@ -112,12 +110,12 @@ class MotionTracking(ShortRepr):
         """Angle by which the base turns while the joints move, rad; 0 where it is rigid."""
         if self.base is None:
             return 0.0
-        return self.largest(Rotation.from_euler("XYZ", self.base[:, 3:]).as_rotvec())
+        return self.largest(Rotation.from_euler("XYZ", self.base[:, 3:6]).as_rotvec())
 
     @property
-    def largest_base_torque(self) -> float | None:
-        """Largest torque on the bent base while the joints move, Nm; None where it is rigid."""
-        return None if self.base_torque is None else self.largest(self.base_torque)
+    def largest_base_torque(self) -> float:
+        """Largest torque on the bent base while the joints move, Nm; 0 where it is rigid."""
+        return 0.0 if self.base is None else self.largest(self.base[:, 6:])
 
     def largest(self, error: FloatArray) -> float:
         """Return the largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
@@ -299,18 +297,6 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     return arm
 
 
-def track(
-    arm: ElasticArm,
-    task: ToolTask,
-    motion: PrescribedMotion,
-    options: SimulationOptions,
-    progress: Callable[[float], None] | None = None,
-    sag: Sag | None = None,
-) -> MotionTracking:
-    """Simulate an elastic arm under one motion along a task's path, as `track_work` does."""
-    return track_work(arm, PrescribedWork.of([(motion, task.path)]), options, progress, sag)
-
-
 def track_work(
     arm: ElasticArm,
     work: PrescribedWork,
@@ -386,7 +372,7 @@ def track_work(
 
 
 def _base(arm: ElasticArm, u: FloatArray, held: Sequence[float] | None) -> FloatArray:
-    """Motion of a point of the base (N, 6) and torque on it (N, 3) at elastic coordinates `u` (N, f)."""
+    """Motion of a point of the base and torque on it (N, 9) at elastic coordinates `u` (N, f)."""
     at, foot = arm.springs["base", ""], np.array(arm.robot.foot_point)
     base = u[:, at]
     torque = (base @ arm.stiffness[np.ix_(at, at)])[:, 3:] - arm.robot.carrier_torque
@@ -455,8 +441,8 @@ def motion_tracking(
         Of the modes in the motion's first posture, ascending.
     execution : (N, 3), m, optional
         From `execution_error`.
-    base : (N, 6) or (N, 9), m, rad and Nm, optional
-        Displacement and rotation of an elastic base, and the torque on it, which older files lack.
+    base : (N, 9), m, rad and Nm, optional
+        Displacement and rotation of an elastic base, and the torque on it.
     """
     command, path_error = np.full_like(error, np.nan), np.full_like(error, np.nan)
     for part, at, own in work.split(t):
@@ -472,8 +458,7 @@ def motion_tracking(
         command=command,
         path_error=path_error,
         execution=execution,
-        base=None if base is None else base[:, :6],
-        base_torque=None if base is None or base.shape[1] == 6 else base[:, 6:],
+        base=base,
         metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )
 

@@ -129,13 +129,9 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
         begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
         broken = bool(baseline_faults(plan, work=True))
-        if all(motion.base_torque is not None for _, motion in tracking.motions):
-            yield replace(
-                torque_chart(plan, base_torque_curves(tracking, begin)),
-                key="tracking",
-                note="Simulated, with vibration and sag.",
-                free=_NOT_SIMULATED,
-            )
+        if torque := base_torque_curves(tracking, begin):
+            said = "Simulated, with sag and vibration."
+            yield replace(torque_chart(plan, torque), key="tracking", note=said, free=_NOT_SIMULATED)
         yield from _tracking(tracking, begin, note, clipped=broken)
         off = _off_path(tracking, begin)
         yield off.scaled_to_plan() if broken else off
@@ -374,9 +370,9 @@ def off_path_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]
 def base_torque_curves(tracking: Tracking, begin: float = 0.0) -> tuple[Curve, ...]:
     """Return the torque with vibration on the bent base of each motion, Nm; none on a rigid one."""
     return tuple(
-        Curve(motion=name, t=begin + motion.t, y=np.linalg.norm(motion.base_torque, axis=1))
+        Curve(motion=name, t=begin + motion.t, y=np.linalg.norm(motion.base[:, 6:], axis=1))
         for name, motion in tracking.motions
-        if motion.base_torque is not None
+        if motion.base is not None
     )
 
 

@@ -69,8 +69,7 @@ def test_it_adds_tables_of_the_errors_and_changes_no_other(
         np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-12)
         np.testing.assert_allclose(table[:, 1:4], motion.error, atol=1e-12)
         off = np.column_stack([motion.path_error, motion.off_path])
-        expected = np.hstack([motion.static, off, motion.base, motion.base_torque])
-        np.testing.assert_allclose(table[:, 4:], expected, atol=1e-12)
+        np.testing.assert_allclose(table[:, 4:], np.hstack([motion.static, off, motion.base]), atol=1e-12)
 
 
 def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved_short: Path) -> None:

@@ -5,9 +5,12 @@ import pinocchio as pin
 
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.sag import Sag
+from cmbot.planning import ToolTask
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
-from cmbot.simulation import PrescribedMotion
+from cmbot.simulation import PrescribedMotion, PrescribedWork, SimulationOptions, track_work
+from cmbot.simulation.tracking import MotionTracking
 from cmbot.trajectory import QuinticTrajectory
 
 
@@ -22,6 +25,17 @@ def swing(seconds: float, size: float = 0.15) -> PrescribedMotion:
     t = np.linspace(0.0, seconds, 81)
     ways = np.sin(np.pi * t / seconds)[:, None] ** 2 * np.cos(np.arange(7) + t[:, None])
     return PrescribedMotion.through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
+
+
+def track(
+    arm: ElasticArm,
+    task: ToolTask,
+    motion: PrescribedMotion,
+    options: SimulationOptions,
+    sag: Sag | None = None,
+) -> MotionTracking:
+    """Simulate an elastic arm under one motion along a task's path."""
+    return track_work(arm, PrescribedWork.of([(motion, task.path)]), options, sag=sag)
 
 
 def tool_points(arm: ElasticArm, q: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_motions import track
 
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Job, Plan
@@ -18,7 +19,6 @@ from cmbot.simulation import (
     Tracking,
     simulate,
     statistics,
-    track,
     track_work,
     tracking_verdict,
 )

@@ -62,7 +62,7 @@ def test_every_figure_has_a_name_and_a_rigid_base_no_torque(
 ) -> None:
     assert tuple(figures) == PLAN
     assert tuple(tracked) == TRACKING
-    rigid = replace(short_tracking, baseline=None, planned=replace(short_tracking.planned, base_torque=None))
+    rigid = replace(short_tracking, baseline=None, planned=replace(short_tracking.planned, base=None))
     assert len(labelled(plot(rigid))["tracking_path"].axes) == 1
 
 
@@ -140,10 +140,10 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
 def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
     motions = ((plots._BASELINE, short_tracking.baseline), (plots._PLANNED, short_tracking.planned))
     off, torque = tracked["tracking_path"].axes
-    assert torque.get_ylim()[0] > 0.9 * np.linalg.norm(motions[1][1].base_torque, axis=1).min() > 0
+    assert torque.get_ylim()[0] > 0.9 * np.linalg.norm(motions[1][1].base[:, 6:], axis=1).min() > 0
     for colour, motion in motions:
         assert_drawn(lines(off, colour)[0], motion.t, 1e3 * motion.off_path)
-        assert_drawn(lines(torque, colour)[0], motion.t, np.linalg.norm(motion.base_torque, axis=1))
+        assert_drawn(lines(torque, colour)[0], motion.t, np.linalg.norm(motion.base[:, 6:], axis=1))
     for number, axes in enumerate(tracked["tracking_error"].axes):
         static = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
         assert len(static) == 2

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.spatial.distance import pdist
+from small_motions import track
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
@@ -23,7 +24,7 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility import leg_vibration
 from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
 from cmbot.planning.workcell.workcell import Workcell
-from cmbot.simulation import PrescribedMotion, SimulationOptions, track
+from cmbot.simulation import PrescribedMotion, SimulationOptions
 from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
