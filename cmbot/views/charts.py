@@ -129,12 +129,12 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
         begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
         broken = bool(baseline_faults(plan, work=True))
-        if torque := base_torque_curves(tracking, begin):
-            said = "Simulated, with sag and vibration."
-            yield replace(torque_chart(plan, torque), key="tracking", note=said, free=_NOT_SIMULATED)
         yield from _tracking(tracking, begin, note, clipped=broken)
         off = _off_path(tracking, begin)
         yield off.scaled_to_plan() if broken else off
+        if torque := base_torque_curves(tracking, begin):
+            chart = replace(torque_chart(plan, torque), key="tracking", free=_NOT_SIMULATED)
+            yield replace(chart, title=f"{chart.title} with sag and vibration")
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:

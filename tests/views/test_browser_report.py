@@ -78,7 +78,8 @@ def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(shown: Chrome
 def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> None:
     labels = ask(shown, "[...document.querySelectorAll('svg')].map((svg) => svg.getAttribute('aria-label'))")
     large = ["Torque on the guardrail", "Clearance", "Tool's distance from its path"]
-    large += [f"Tracking error along {axis}" for axis in "xyz"] + ["Elastic tool's distance from its path"]
+    large += [f"Tracking error along {axis}" for axis in "xyz"]
+    large += ["Elastic tool's distance from its path", "Torque on the guardrail with sag and vibration"]
     small = [
         f"{quantity} of {joint}"
         for joint in triangle_plan.robot.joints
@@ -94,14 +95,14 @@ def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> No
     assert highest == pytest.approx(peaks, abs=0.2)
     drawn = ask(shown, "[...document.querySelectorAll('path.curve')].map((path) => path.getTotalLength())")
     # A rigid baseline is not drawn beside a bent arm's distance from its path.
-    assert len(drawn) == 2 * 4 - 1 + 4 * 3 + 2 * 35
+    assert len(drawn) == 2 * 4 - 1 + 4 * 3 + 2 + 2 * 35
     assert min(drawn) > 20
     # Those of what bends say that the approach is not simulated.
     words = """return [...document.querySelectorAll("#charts-tracking svg")].map((svg) => {
         return [...svg.querySelectorAll("text")].map((text) => text.textContent);
     })"""
     said = shown.execute_script(words)
-    assert len(said) == 4
+    assert len(said) == 5
     assert all({"approach", "not simulated"} <= set(texts) for texts in said)
     elsewhere = shown.execute_script(words.replace("tracking", "torque"))
     assert "approach" in elsewhere[0]
@@ -185,6 +186,9 @@ def test_the_values_are_those_of_the_plan(
             1e3 * float(m.error[i, axis]) for m in (triangle_tracking.planned, triangle_tracking.baseline)
         )
         assert values[3 + axis] == both(*errors, 0.15)
+    torque = float(np.linalg.norm(triangle_tracking.planned.base[i, 6:]))
+    # The baseline's vibrates between the points that are drawn.
+    assert values[7][0] == pytest.approx(torque, abs=0.3)
 
 
 def test_a_pointer_shows_every_value_and_a_click_a_joint_large(shown: Chrome, triangle_plan: Plan) -> None:

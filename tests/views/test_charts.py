@@ -70,7 +70,7 @@ def test_tracking_errors_share_one_scale_and_say_where_they_are_measured_from(
 
 
 def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
-    *others, off = charts(strokes_plan, strokes_tracking)
+    *others, off, torque = charts(strokes_plan, strokes_tracking)
     assert off.title == "Elastic tool's distance from its path"
     free = strokes_plan.work.segments[1], strokes_plan.baseline.segments[1]
     for segment, name in zip(free, ("planned", "baseline"), strict=True):
@@ -79,7 +79,7 @@ def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_
         before, after = times <= segment.begin + 1e-9, times >= segment.end - 1e-9
         assert before.any() and after.any() and (before | after).all()
         assert shown.starts == (before.sum(),)
-    for chart in (*others, off):
+    for chart in (*others, off, torque):
         for curve in chart.curves:
             assert np.isfinite(curve.y).all()
 
