@@ -134,7 +134,9 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
         yield off.scaled_to_plan() if broken else off
         if torque := base_torque_curves(tracking, begin):
             chart = replace(torque_chart(plan, torque), key="tracking", free=_NOT_SIMULATED)
-            yield replace(chart, title=f"{chart.title} with sag and vibration")
+            # Near the data, where a vibration is seen.
+            near = (2 - ROOM) * min(float(curve.y.min()) for curve in torque), chart.axis[1]
+            yield replace(chart, title=f"{chart.title} with sag and vibration", axis=near)
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:

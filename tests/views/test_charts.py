@@ -79,6 +79,8 @@ def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_
         before, after = times <= segment.begin + 1e-9, times >= segment.end - 1e-9
         assert before.any() and after.any() and (before | after).all()
         assert shown.starts == (before.sum(),)
+    lowest = min(np.linalg.norm(m.base[:, 6:], axis=1).min() for _, m in strokes_tracking.motions)
+    assert 0.9 * lowest < torque.axis[0] < lowest
     for chart in (*others, off, torque):
         for curve in chart.curves:
             assert np.isfinite(curve.y).all()
