@@ -5,25 +5,28 @@ about the middle of the touched features. The estimate is the maximum a posterio
 
     sum |r_i(xi)|^2 / s^2 + xi' P^-1 xi,
 
-with the residuals r_i of the touched features and the prior's covariance P; its covariance is
-``(J' J / s^2 + P^-1)^-1``. Touches that do not fit the others are left out one by one, by their studentised
-residuals (Baarda, 1968), as long as at most a third of them goes.
+with the residuals r_i of the touched features and the prior's covariance P. Its covariance is that of the
+posterior about it, by importance sampling from the normal distribution of ``(J' J / s^2 + P^-1)^-1``: where
+the prior decides, residuals curve. Touches that do not fit the others are left out one by one, by their
+studentised residuals (Baarda, 1968), as long as at most a third of them goes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
-from scipy.special import chdtrc
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc, ndtri
 
 from cmbot.collision import Box
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.common.representation import ShortRepr
@@ -38,6 +41,11 @@ _MAX_PRIOR_SIGMAS = 6.0
 _UNOBSERVED_VARIANCE_SHARE = 0.8
 # Residual, in standard deviations, beyond which the first estimate counts touches linearly.
 _HUBER_SIGMAS = 2.0
+# Draws of importance sampling, by so much wider than what they stand for, how often they are drawn anew from
+# the moments before, and the share of them that has to count.
+_DRAWS, _WIDER, _ROUNDS, _COUNTING_SHARE = 1024, 1.5, 3, 0.1
+# Root of x^7 = x + 1: its powers spread draws evenly in six dimensions (Roberts, 2018).
+_SPREADING = 1.1127756842787055
 _POSE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
@@ -137,13 +145,10 @@ def located(touches: Touches) -> Location:
     if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
         shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
         prior, frame = touches.setup.prior, touches.frame
-        raise InputError(
-            touches.source,
-            "prior",
-            f"{frame} {shift:.0f} mm and {turned:.1f} deg from where the scene has it, {off:.0f} deviations",
-            f"a place within {_MAX_PRIOR_SIGMAS:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}; "
-            "look at the units and the frame that the points are given in (locates), or widen prior",
-        )
+        got = f"{frame} {shift:.0f} mm and {turned:.1f} deg from where the scene has it, {off:.0f} deviations"
+        within = f"a place within {_MAX_PRIOR_SIGMAS:g} of prior: {{mm: {prior.mm:g}, deg: {prior.deg:g}}}"
+        look = "look at the units and the frame that the points are given in (locates), or widen prior"
+        raise InputError(touches.source, "prior", got, f"{within}; {look}")
     X, turn = touches.X_WF.copy(), pin.exp3(xi[3:])
     X[:3, 3] = problem.middle + xi[:3] + turn @ (X[:3, 3] - problem.middle)
     X[:3, :3] = turn @ X[:3, :3]
@@ -151,7 +156,7 @@ def located(touches: Touches) -> Location:
         frame=touches.frame,
         X_WF=X,
         moved=xi,
-        covariance=covariance,
+        covariance=problem.spread(xi, covariance, counted_in),
         residuals=tuple(problem.residuals(xi, range(len(touches.features)))),
         left_out=tuple(sorted(set(range(len(touches.features))) - set(counted_in))),
         not_fixed=tuple(_not_fixed(covariance, problem.prior)),
@@ -166,36 +171,43 @@ class _Problem:
         self._places, self._features, self._X = touches.places, touches.features, touches.X_WF
         self._deviation, self._tip = 1e-3 * setup.touch_sd_mm, 1e-3 * setup.tip_radius_mm
         self.prior = _prior(setup)
-        self.middle = np.mean([self._in_world(feature.point) for feature in touches.features], axis=0)
-
-    def _in_world(self, point: FloatArray) -> FloatArray:
-        """Where a point of the frame was thought to be."""
-        return np.asarray(self._X[:3, :3] @ point + self._X[:3, 3])
+        middle = np.mean([feature.point for feature in touches.features], axis=0)
+        self.middle = self._X[:3, :3] @ middle + self._X[:3, 3]
 
     def residuals(self, xi: FloatArray, numbers: Sequence[int]) -> list[FloatArray]:
-        """How far touched places are from their features, m, the workpiece displaced by `xi` (6,)."""
-        back = self.middle + (self._places - self.middle - xi[:3]) @ pin.exp3(xi[3:])
+        """How far touched places are from their features, m, the workpiece displaced by `xi` (..., 6)."""
+        R = Rotation.from_rotvec(xi[..., 3:]).as_matrix()
+        back = self.middle + (self._places - self.middle - xi[..., None, :3]) @ R
         touched = (back - self._X[:3, 3]) @ self._X[:3, :3]
-        return [self._features[k].residual(touched[k], self._tip) for k in numbers]
+        return [self._features[k].residual(touched[..., k, :], self._tip) for k in numbers]
 
     def stacked(self, xi: FloatArray, numbers: Sequence[int]) -> FloatArray:
-        """Whitened residuals of touches, and of the prior."""
-        return np.append(np.concatenate(self.residuals(xi, numbers)) / self._deviation, xi / self.prior)
+        """Whitened residuals of touches, and of the prior, at displacements `xi` (..., 6)."""
+        each = [residual / self._deviation for residual in self.residuals(xi, numbers)]
+        return np.concatenate([*each, xi / self.prior], axis=-1)
+
+    def spread(self, xi: FloatArray, covariance: FloatArray, numbers: Sequence[int]) -> FloatArray:
+        """The posterior's second moments (6, 6) about an estimate `xi`, from those of the linearised one.
+
+        Where residuals are linear these are as they were.
+        """
+        draws, chance = _draws()
+        for _ in range(_ROUNDS):
+            off, weight = draws @ np.linalg.cholesky(covariance).T, np.eye(_DRAWS)[0]
+            square = np.square(self.stacked(xi + off, numbers)).sum(axis=1)
+            log = 0.5 * (np.square(draws).sum(axis=1) - square)
+            # Where few count the density is flattened: the next draws are nearer to it.
+            while np.square(weight).sum() > 1 / (_COUNTING_SHARE * _DRAWS):
+                weight = chance * np.exp(log - log.max())
+                weight, log = weight / weight.sum(), 0.5 * log
+            covariance = (weight * off.T) @ off
+        return covariance
 
     def solved(self, start: FloatArray, numbers: Sequence[int], *, robust: bool = False) -> Any:
         """SciPy's result for those touches, its `x` the estimate (6,); with `robust`, far ones count less."""
-        return least_squares(
-            self.stacked,
-            start,
-            args=(numbers,),
-            jac="3-point",
-            x_scale=self.prior,
-            loss="soft_l1" if robust else "linear",
-            f_scale=_HUBER_SIGMAS,
-            xtol=1e-12,
-            ftol=1e-12,
-            gtol=1e-12,
-        )
+        how: Any = {"args": (numbers,), "jac": "3-point", "x_scale": self.prior, "f_scale": _HUBER_SIGMAS}
+        how |= dict.fromkeys(("xtol", "ftol", "gtol"), 1e-12)
+        return least_squares(self.stacked, start, loss="soft_l1" if robust else "linear", **how)
 
     def worst(self, estimate: Any, covariance: FloatArray, numbers: Sequence[int]) -> int | None:
         """The touch that fits the others least, where chance hardly makes it so."""
@@ -208,6 +220,17 @@ class _Problem:
             found.append((float(chdtrc(len(r), square)), -square, number))
         chance, _, number = min(found)
         return number if chance * len(numbers) < _CHANCE else None
+
+
+@cache
+def _draws() -> tuple[FloatArray, FloatArray]:
+    """Draws (k, 6) and their weights (k,), whose mean is 0 and whose covariance is 1, with wide tails."""
+    each = np.arange(1, _DRAWS // 2 + 1)[:, None] * _SPREADING ** -np.arange(1.0, 7.0)
+    half = _WIDER * ndtri((0.5 + each) % 1.0)
+    x = np.hstack([half.T, -half.T])
+    weight = np.exp(-0.5 * (1 - _WIDER**-2) * np.square(x).sum(axis=0))
+    weight /= weight.sum()
+    return read_only(np.linalg.solve(np.linalg.cholesky((weight * x) @ x.T), x).T), read_only(weight)
 
 
 def _prior(setup: TouchSetup) -> FloatArray:
@@ -228,11 +251,10 @@ def location_remarks(found: Location, touches: Touches) -> Iterator[str]:
     """Say where the frame is, how exactly, and which touches did not count."""
     shift, turn = np.linalg.norm(found.moved[:3]), np.degrees(np.linalg.norm(found.moved[3:]))
     known, before = found.placement, touches.setup.prior
-    exactness = f"{known.mm:.2f} mm and {known.deg:.3f} deg"
     yield (
         f"{found.frame} is {1e3 * shift:.2f} mm and {turn:.3f} deg from where the scene has it, at the "
-        f"middle of what was touched, known within {exactness} (one standard deviation in the worst "
-        f"direction; before {before.mm:g} mm and {before.deg:g} deg)."
+        f"middle of what was touched, known within {known.mm:.2f} mm and {known.deg:.3f} deg (one standard "
+        f"deviation in the worst direction; before {before.mm:g} mm and {before.deg:g} deg)."
     )
     kept = [r for k, r in enumerate(found.residuals) if k not in found.left_out]
     size = float(np.sqrt(np.mean(np.concatenate(kept) ** 2)))
@@ -264,9 +286,8 @@ def features_to_touch(scene: Scene, number: int) -> tuple[list[Feature], FloatAr
     corners = list[FloatArray]()
     for obstacle in scene.all_obstacles:
         if obstacle.workpiece and isinstance(obstacle.shape, Box):
-            half = 0.5 * np.array(obstacle.shape.size)
-            signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
-            corners += list((signs * half) @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3])
+            half = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3) * obstacle.shape.size
+            corners += list(half @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3])
     if not corners:
         expected = "a box with workpiece: true among the scene's obstacles, whose corners can be touched"
         raise InputError(scene.source, "obstacles", "no such box", expected)

@@ -127,17 +127,17 @@ class Feature:
     radius: float = 0.0
 
     def residual(self, place: FloatArray, tip: float) -> FloatArray:
-        """How far a touched place (3,) is from it, m: (3,) of a point, (2,) of an edge, else (1,)."""
+        """How far touched places (..., 3) are from it, m: (..., 3) of a point, (..., 2) of an edge, or 1."""
         away = place - self.point
         if self.kind == "point":
             return away
-        along = float(self.axis @ away)
+        along = (away @ self.axis)[..., None]
         if self.kind == "plane":
-            return np.array([along - tip])
-        across = away - along * self.axis
+            return np.asarray(along - tip)
         if self.kind == "cylinder":
-            return np.array([float(np.linalg.norm(across)) - self.radius - tip])
-        return np.asarray(np.linalg.svd(self.axis[None])[2][1:] @ away)
+            across = np.linalg.norm(away - along * self.axis, axis=-1, keepdims=True)
+            return np.asarray(across - self.radius - tip)
+        return np.asarray(away @ np.linalg.svd(self.axis[None])[2][1:].T)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -243,18 +243,15 @@ def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | 
         scene = load_scene(given)
     else:
         scene = scene_named(file.scene, folder, source)
-    name, X_WF = frame_of(scene)
-    if file.locates is not None and file.locates != name:
-        name, frames = file.locates, scene.frame_poses
-        if name != "world" and name not in frames:
-            raise InputError(source, "locates", name, "a frame of the scene, or world", tuple(frames))
-        X_WF = np.eye(4) if name == "world" else frames[name]
+    name, frames = file.locates or frame_of(scene)[0], scene.frame_poses
+    if name not in {"world", *frames}:
+        raise InputError(source, "locates", name, "a frame of the scene, or world", tuple(frames))
     return Touches(
         source=source,
         scene=scene,
         setup=file,
         frame=name,
-        X_WF=X_WF,
+        X_WF=np.eye(4) if name == "world" else frames[name],
         places=_places(file, scene, source),
         features=tuple(_feature(touch, source, k) for k, touch in enumerate(file.touches)),
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from locating import FRAME, WITHIN, drawn, features, measured, squares
+from scipy.spatial.transform import Rotation
 from small_scenes import short_scene
 
 import cmbot
@@ -53,6 +54,35 @@ def test_the_truth_is_in_its_region_as_often_as_is_said(scene: Scene, kind: str,
     """12.59 is the 95 % quantile of chi square with 6 degrees of freedom; 200 draws have 1.5 % of scatter."""
     inside = np.mean([square < WITHIN for square, _ in squares(scene, kind, count, 200)])
     assert 0.90 <= inside <= 0.99
+
+
+@pytest.mark.parametrize("seed", [7, 21])
+def test_the_covariance_is_that_of_the_posterior(scene: Scene, seed: int) -> None:
+    """By a random walk (Metropolis, 1953), one touch on each face of a box: linearised it is too small."""
+    rng = np.random.default_rng(seed)
+    touches = measured(scene, features("plane", rng, 6), drawn(rng), rng)
+    found, X = located(touches), scene.frame_poses["bracket"]
+    on, normal = (np.array([getattr(each, name) for each in touches.features]) for name in ("point", "axis"))
+    on, normal = on @ X[:3, :3].T + X[:3, 3], normal @ X[:3, :3].T
+    middle = on.mean(axis=0)
+
+    def log_density(xi: FloatArray) -> FloatArray:
+        turned = Rotation.from_rotvec(-xi[:, 3:]).as_matrix() @ (touches.places - middle - xi[:, None, :3]).mT
+        off = ((turned.mT + middle - on) * normal).sum(axis=2)
+        prior = np.square(xi[:, :3] / 0.02).sum(axis=1) + np.square(xi[:, 3:] / np.radians(2)).sum(axis=1)
+        return -0.5 * (np.square(off / 3e-4).sum(axis=1) + prior)
+
+    step = np.linalg.cholesky(found.covariance).T
+    xi = found.moved + rng.normal(size=(200, 6)) @ step
+    density, visited = log_density(xi), list[FloatArray]()
+    for _ in range(2000):
+        other = xi + 0.8 * rng.normal(size=xi.shape) @ step
+        there = log_density(other)
+        moves = np.log(rng.uniform(size=len(xi))) < there - density
+        xi[moves], density[moves] = other[moves], there[moves]
+        visited.append(xi - found.moved)
+    each = np.concatenate(visited[500:]) @ np.linalg.inv(step)
+    np.testing.assert_allclose(each.T @ each / len(each), np.eye(6), atol=0.15)
 
 
 def test_a_touch_of_another_corner_is_left_out(scene: Scene) -> None:
