@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -161,17 +162,19 @@ def newmark(
         w' at the last one.
     """
     h, (times, number, size) = step, loads.shape
-    inverse = np.linalg.inv(mass + 0.5 * h * damping + 0.25 * h * h * stiffness)
-    by_state = inverse @ np.concatenate([stiffness, np.broadcast_to(damping, stiffness.shape)], axis=3)
-    w = np.zeros((times, number, inverse.shape[1], size))
-    state, gain = np.zeros((*w.shape[1:3], 2, size)), np.array([[0.25 * h * h], [0.5 * h]])
-    a = np.zeros_like(state[..., :1, :])
-    for k in range(1, times):
-        state[..., 0, :] += h * state[..., 1, :]
-        state += gain * a
-        i = interval[k]
-        a = inverse[i] @ loads[k, :, None, :, None] - by_state[i] @ state.reshape(*w.shape[1:3], 2 * size, 1)
-        a = a.swapaxes(2, 3)
-        state += gain * a
-        w[k] = state[..., 0, :]
-    return w, state[..., 1, :]
+    inverse = h * h * np.linalg.inv(mass + 0.5 * h * damping + 0.25 * h * h * stiffness)
+    by_state = inverse @ np.concatenate([stiffness, np.broadcast_to(damping / h, stiffness.shape)], axis=3)
+    # What w and h w' are predicted to be, with which h^2 w'' and the next prediction are linear.
+    x = np.zeros((times + 1, number, inverse.shape[1], 2, size))
+    states, w, v = x.reshape(*x.shape[:3], -1, 1), x[..., 0, :], x[..., 1, :]
+    changes = np.flatnonzero((interval[2:] != interval[1:-1]).any(axis=1)) + 2
+    for begin, end in pairwise([1, *changes.tolist(), times]):
+        resists = by_state[interval[begin]]
+        v[begin + 1 : end + 1] = (inverse[interval[begin]] @ loads[begin:end, :, None, :, None])[..., 0]
+        for k in range(begin, end):
+            v[k + 1] += v[k] - (resists @ states[k])[..., 0]
+            np.add(w[k], v[k + 1], out=w[k + 1])
+    moved = np.diff(v, axis=0)
+    moved *= 0.25
+    moved += w[:-1]
+    return moved, (0.5 / h) * (v[-1] + v[-2])
