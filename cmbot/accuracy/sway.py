@@ -100,8 +100,7 @@ def sway_along(
     # Matrices of the middle of an interval hold for all of it.
     M, K = (0.5 * (each[:-1] + each[1:])[:, None] for each in (at.mass, at.stiffness))
     K = K + (np.array(factors) - 1.0)[:, None, None] * arm.stiffness
-    for stiffness in K:
-        require_bearing(stiffness, factors)
+    require_bearing(K, factors)
     w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]))
     lever = (1 - share) * at.lever[place] + share * at.lever[place + 1]
     return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
@@ -134,25 +133,27 @@ def stroke_sway(
 
 
 def require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:
-    """Refuse stiffnesses (F, f, f), with the loads' own, that do not bear the arm: a `TooSoftError`."""
-    for matrix, factor in zip(stiffness, factors, strict=True):
-        try:
-            np.linalg.cholesky(0.5 * (matrix + matrix.T))
-        except np.linalg.LinAlgError as error:
-            got = f"a posture from which the arm topples with {factor:.0%} of its stiffness (stiffness_share)"
-            raise TooSoftError("sway", "factors", got, "an arm and a base that are stiff enough") from error
+    """Refuse stiffnesses (..., F, f, f), with the loads' own, that do not bear the arm: a `TooSoftError`."""
+    symmetric = 0.5 * (stiffness + stiffness.swapaxes(-1, -2))
+    try:
+        np.linalg.cholesky(symmetric)
+    except np.linalg.LinAlgError as error:
+        factor = factors[int(np.linalg.eigvalsh(symmetric)[..., 0].argmin()) % len(factors)]
+        got = f"a posture from which the arm topples with {factor:.0%} of its stiffness (stiffness_share)"
+        raise TooSoftError("sway", "factors", got, "an arm and a base that are stiff enough") from error
 
 
 def _inertial_loads(
     arm: ElasticArm, t: FloatArray, motion: Callable[[FloatArray, int], FloatArray], still: QuinticTrajectory
 ) -> FloatArray:
     """Loads (N, f) on the elastic coordinates by the motion, less those at rest."""
-    data = arm.model.createData()
+    # Without gravity what is at rest has no loads.
+    model, data = arm.model.copy(), arm.model.createData()
+    model.gravity = pin.Motion.Zero()
     q, v, a = (motion(t, order) for order in range(3))
     u, du, ddu = (still.evaluate(t, order) for order in range(3))
     x, dx, ddx = arm.configuration(q, u), arm.configuration(v, du), arm.configuration(a, ddu)
     loads = np.empty_like(u)
     for k in range(len(t)):
-        moving = pin.rnea(arm.model, data, x[k], dx[k], ddx[k])[arm.elastic]
-        loads[k] = moving - pin.computeGeneralizedGravity(arm.model, data, x[k])[arm.elastic]
+        loads[k] = pin.rnea(model, data, x[k], dx[k], ddx[k])[arm.elastic]
     return np.asarray(loads + ddu @ arm.added_mass.T)

@@ -174,7 +174,4 @@ def newmark(
         for k in range(begin, end):
             v[k + 1] += v[k] - (resists @ states[k])[..., 0]
             np.add(w[k], v[k + 1], out=w[k + 1])
-    moved = np.diff(v, axis=0)
-    moved *= 0.25
-    moved += w[:-1]
-    return moved, (0.5 / h) * (v[-1] + v[-2])
+    return w[:-1] + 0.25 * np.diff(v, axis=0), (0.5 / h) * (v[-1] + v[-2])
