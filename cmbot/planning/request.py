@@ -75,6 +75,8 @@ class StrokeRequest(ShortRepr):
         Of the bounds on the tool's deviation, rotation and lag that what is optimised keeps.
     least_travel : bool
         The travel of the joints is minimised in place of the objective, which has next to nothing to gain.
+    proves : bool
+        The lower bound is proven where that is possible.
     deadline : Deadline
     reporter : ProgressReporter
     """
@@ -92,6 +94,7 @@ class StrokeRequest(ShortRepr):
     spare_clearance: float = 0.0
     tool_share: float = 1.0
     least_travel: bool = False
+    proves: bool = True
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 

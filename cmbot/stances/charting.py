@@ -90,7 +90,7 @@ def chart(scene: Scene, at_rest: AtRest | None = None, limit: float = np.inf) ->
     bounds, peaks, postures = list[float](), list[float](), list[FloatArray]()
     deadline = Deadline(limit)
     for request in _strokes(scene, at_rest):
-        search, solution = searched(replace(request, deadline=deadline))
+        search, solution = searched(replace(request, deadline=deadline, proves=False))
         if isinstance(solution, PathNotFound):
             raise solution
         bounds.append(min(search.followed_bound(), solution.peak))

@@ -188,12 +188,11 @@ def _certified(
 def _approach(request: StrokeRequest, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
     """The free move to where a trajectory starts."""
     request.reporter.step("planning the approach to the start")
-    at_rest = request.cell.objective.at_rest(request.cell.postures.at(trajectory.q))
+    allowed = float(request.cell.objective.at_rest(request.cell.postures.at(trajectory.q)).max())
     chart = request.first[None] if guess.search is None else guess.search.first_chart.q
-    stays = guess.choice is not None and guess.choice.pinned is not None
-    return plan_approach(
-        request, trajectory.q[0], chart, way=guess.way, allowed=float(at_rest.max()), dispensable=stays
-    )
+    others = guess.search is not None and request.stroke.begins_elsewhere and guess.way is None
+    others |= guess.choice is not None and guess.choice.pinned is not None
+    return plan_approach(request, trajectory.q[0], chart, way=guess.way, allowed=allowed, dispensable=others)
 
 
 def _return(request: StrokeRequest, before: tuple[Segment, ...]) -> Segment | None:

@@ -52,7 +52,8 @@ def plan_approach(
     allowed : float
         Value of the objective that the work reaches anyway.
     dispensable : bool
-        The work can start in the scene's posture, too: no long search for the way to a better start.
+        The work can start in the scene's posture, too, or where trees lead to one of many starts: no long
+        search for the way to this one.
 
     Raises
     ------

@@ -187,7 +187,7 @@ def with_proof(
         As before, or better: a proof may meet one that the charts missed.
     """
     estimate = replace(bound, kind="estimated", missed=coverage.share)
-    prover = TorqueFloorProof.of(request)
+    prover = TorqueFloorProof.of(request) if request.proves else None
     if prover is None:
         return estimate, posture
     request.reporter.step("proving the lower bound")
