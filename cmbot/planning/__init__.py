@@ -41,7 +41,7 @@ from cmbot.planning.path.raster_reach import (
     unreached_area as unreached_area,
 )
 from cmbot.planning.path.start_posture import StartPosture as StartPosture, find_start as find_start
-from cmbot.planning.planner import plan as plan, replan as replan
+from cmbot.planning.planner import plan as plan, plan_candidate as plan_candidate, replan as replan
 from cmbot.planning.postures.projection import project_onto_task as project_onto_task
 from cmbot.planning.precheck import (
     precheck_options as precheck_options,

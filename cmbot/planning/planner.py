@@ -109,12 +109,24 @@ def plan(
         scene = reached_scene(scene, given, deadline)
         with watched(progress) as report:
             planner = _Planner.of(given, report, deadline, objective)
-            if partial:
-                return planner.partial(scene)
-            if scene.order == "best":
-                return planner.in_best_order(scene)
-            outcome = planner.job(scene, deadline)
-            return outcome if isinstance(outcome, Plan) else planner.refuse(scene, outcome)
+            return planner.partial(scene) if partial else planner.whole(scene)
+
+
+def plan_candidate(scene: Scene, options: PlannerOptions) -> Plan:
+    """Plan a scene that is one of many, as a stance is.
+
+    Nothing is found that is only told of a plan: not the lower bound where laws were chosen, and in place of
+    a refusal not what would do.
+
+    Raises
+    ------
+    CmbotError
+        As `plan` does.
+    """
+    deadline = Deadline(options.time_limit_s)
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
+        scene = reached_scene(scene, options, deadline)
+        return replace(_Planner.of(options, None, deadline), brief=True).whole(scene)
 
 
 def replan(
@@ -207,6 +219,7 @@ class _Planner:
     objective: WrenchFunction | None
     reporter: ProgressReporter
     deadline: Deadline
+    brief: bool = False  # without what is only told of a plan
 
     @classmethod
     def of(
@@ -223,6 +236,13 @@ class _Planner:
             reporter=ProgressReporter(report),
             deadline=deadline,
         )
+
+    def whole(self, scene: Scene) -> Plan:
+        """Return the plan of all strokes."""
+        if scene.order == "best":
+            return self.in_best_order(scene)
+        outcome = self.job(scene, self.deadline)
+        return outcome if isinstance(outcome, Plan) else self.refuse(scene, outcome)
 
     def partial(self, scene: Scene) -> Plan:
         """Return the plan of the strokes that can be planned, in their order; the first error where none can.
@@ -292,7 +312,7 @@ class _Planner:
         while len(made) < len(request.strokes):
             stroke = _at_stroke(request, len(made), state[-1])
             near = before.get(stroke.stroke.name)
-            planned = plan_stroke(stroke, earlier=near)
+            planned = plan_stroke(stroke, earlier=near, bounded=not self.brief)
             if near is None and not isinstance(planned.trial.outcome, Solved):
                 planned = self._in_given_time(scene, stroke, planned, state[-1])
             outcome, file = planned.trial.outcome, stroke.stroke.file
@@ -332,7 +352,7 @@ class _Planner:
         elif request.deadline.expired():
             if not isinstance(trial.failure, OutOfTime):
                 error.add_hint(f"then {request.deadline.in_words}, was over")
-        elif words := advice(trial):
+        elif words := "" if self.brief else advice(trial):
             error.add_hint(words)
         raise error
 

@@ -14,7 +14,7 @@ from cmbot.common.errors import CmbotError
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.excitation import sway_mm_per_m_s2
-from cmbot.planning import Plan, bending_arm, plan, unreached_area
+from cmbot.planning import Plan, bending_arm, plan_candidate, unreached_area
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 from cmbot.stances.arm import FIGURES
@@ -159,7 +159,7 @@ class Judge:
                 why = "of the rasters are not reached"
                 rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
                 return result.rejected("plan", rejection)
-            made = plan(scene, options=options)
+            made = plan_candidate(scene, options)
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
         figures = figures_of(made, result.candidate)

@@ -46,7 +46,11 @@ class PlannedStroke:
 
 
 def plan_stroke(
-    request: StrokeRequest, *, earlier: QuinticTrajectory | None = None, stays: bool = False
+    request: StrokeRequest,
+    *,
+    earlier: QuinticTrajectory | None = None,
+    stays: bool = False,
+    bounded: bool = True,
 ) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
@@ -57,6 +61,8 @@ def plan_stroke(
         A motion along the stroke where its frame was before: planned once, from its postures.
     stays : bool
         It starts where the arm is before, with sliding knots.
+    bounded : bool
+        With the lower bound of its own via-points, where laws were chosen; it takes charts of these.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
@@ -81,6 +87,7 @@ def plan_stroke(
             break
     if quiet.timing is not None and _sways_more(trial) and budget.left > 0:
         trial = min(searched_motion(replace(start, plain=True), budget), trial, key=_sway)
+    trial = _bounded(trial) if bounded else trial
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 
@@ -134,9 +141,9 @@ def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMoti
         # Imported where needed: SciPy's splines and linear programs take a while to load.
         from cmbot.planning.attempts.shortest_time import in_shortest_time
 
-        return _bounded(in_shortest_time(first, budget, certified_motion, LIGHTER_START))
+        return in_shortest_time(first, budget, certified_motion, LIGHTER_START)
     remedies, better = (*REMEDIES, LIGHTER_START), is_better(first.request)
-    return _bounded(agenda_of(first.request, certified_motion, remedies, budget, better).search(first))
+    return agenda_of(first.request, certified_motion, remedies, budget, better).search(first)
 
 
 def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion]:
