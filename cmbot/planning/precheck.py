@@ -26,7 +26,7 @@ from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, ta
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
-from cmbot.planning.workcell.workcell import bending_arm, rigid_parts_remark, robot_of
+from cmbot.planning.workcell.workcell import bending_arm, rigid_parts_remark, robot_of, stiffness_point
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
 from cmbot.toolpath import ToolPath
@@ -129,6 +129,8 @@ def _asked(
         yield "assumed", " ".join(robot.remarks)
     if rigid := rigid_parts_remark(scene, robot):
         yield "bending", rigid
+    if at := stiffness_point(scene):
+        yield f"stiffness of the {scene.base_name} acts at", f"({', '.join(f'{x:g}' for x in at)}) m"
     if identified := identified_in_words(scene):
         yield "stiffness", identified
 

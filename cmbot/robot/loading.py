@@ -20,7 +20,14 @@ from cmbot.common.installation import model_folder
 from cmbot.common.reading.input_files import read_input
 from cmbot.common.reading.validation import hint
 from cmbot.robot.arm_model import ArmModel, arm_model, attach_payload, build_model, set_tool_length
-from cmbot.robot.description.completion import POINT, AttachedTool, add_masses, add_tool
+from cmbot.robot.description.completion import (
+    POINT,
+    AttachedTool,
+    add_masses,
+    add_tool,
+    leave_on_floor,
+    loads_beside,
+)
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import JointLimitsFile, read_joint_limits
@@ -67,6 +74,7 @@ def load_robot(
     xacro: Mapping[str, str] | None = None,
     total_mass: float | None = None,
     tool: AttachedTool | None = None,
+    carried_from: str | None = None,
 ) -> Robot:
     """Load a robot from its URDF.
 
@@ -118,6 +126,9 @@ def load_robot(
         volumes of their shapes.
     tool : AttachedTool, optional
         That is fixed to `tool_frame`; its point is then the tool frame. Not with `tool_length`.
+    carried_from : str, optional
+        The first link that stands on what bends, such as a lift's carriage: links that it does not lead to
+        stand on the floor, so their masses are left out. Default: the root link.
 
     Raises
     ------
@@ -146,7 +157,7 @@ def load_robot(
         total_mass=total_mass,
         tool=tool,
     )
-    described = _Description.read(files, base_frame, tool_frame)
+    described = _Description.read(files, base_frame, tool_frame, carried_from)
     placement = _Placement(
         base_frame=described.base_frame,
         X_WB=None if mount is None else _pose(mount),
@@ -200,9 +211,12 @@ class _Description:
     tool_frame: str
     estimated: tuple[str, ...]
     completed: str
+    loads: Mapping[str, float]
 
     @classmethod
-    def read(cls, files: RobotFiles, base_frame: str | None, tool_frame: str | None) -> Self:
+    def read(
+        cls, files: RobotFiles, base_frame: str | None, tool_frame: str | None, carried_from: str | None
+    ) -> Self:
         """Read the files; refuse what is wrong in them."""
         content, root = _read(files)
         semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
@@ -218,7 +232,10 @@ class _Description:
         _refuse_errors(files.urdf, inspect_inertias(root, moving_links(root, base_frame)))
         estimated = tuple(add_masses(root, files))
         tool_frame = flange if files.tool is None else add_tool(root, files, flange)
-        added = estimated or files.tool
+        # Pinocchio's model of the arm changes the tree, too.
+        completed = ElementTree.tostring(root, encoding="unicode") if estimated or files.tool else ""
+        if carried_from is not None:
+            leave_on_floor(root, carried_from, base_frame, str(files.urdf))
         return cls(
             files=files,
             content=content,
@@ -228,8 +245,8 @@ class _Description:
             flange=flange,
             tool_frame=tool_frame,
             estimated=estimated,
-            # Pinocchio's model of the arm changes the tree.
-            completed=ElementTree.tostring(root, encoding="unicode") if added else "",
+            completed=completed,
+            loads=loads_beside(root, base_frame) if carried_from is None else {},
         )
 
     @property
@@ -294,6 +311,7 @@ class _Description:
                 )
                 for joint in made.locked_joints
             ),
+            loads_beside=self.loads,
             remarks=(*_remarks(files), *self.estimated, *assumed, *made.remarks),
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,8 @@ class Robot:
     description : str
         The content of that file with what was added to it, masses or a tool; empty where nothing was.
     model : pinocchio.Model
-        The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
+        The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move, but
+        for what stands on the floor.
     floating_model : pinocchio.Model
         The same arm below a massless free-flyer at O0, with the axes of W: held still, the first six rows of
         its inverse dynamics are the wrench that the base exerts on the arm, and their derivatives are exact.
@@ -76,6 +77,9 @@ class Robot:
         How it holds the guardrail; empty where it stands on something else.
     locked_joints : tuple of HoldingJoint
         Those between its root, which holds, and the arm's base, and those from there to a second foot.
+    loads_beside : mapping of str to float
+        Masses, kg, by link, of what neither moves nor is on the arm's base, such as a lift's foot, where
+        nothing says from which link on what bends carries the robot.
     damping_ratio : float
         Of every mode, where nothing else is asked for: 0.01 (arms of aluminium tubes have 0.5 to 2 %), or as
         identified.
@@ -103,6 +107,7 @@ class Robot:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     locked_joints: tuple[HoldingJoint, ...] = ()
+    loads_beside: Mapping[str, float] = field(default_factory=dict)
     damping_ratio: float = 0.01
     remarks: tuple[str, ...] = ()
 
@@ -242,7 +247,7 @@ class Robot:
 
     @property
     def carrier_mass(self) -> float:
-        """Mass that does not move, kg: its load on the guardrail is constant."""
+        """Mass that neither moves nor stands on the floor, kg: its load on the guardrail is constant."""
         return float(self.model.inertias[0].mass)
 
     @property

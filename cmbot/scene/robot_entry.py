@@ -182,7 +182,7 @@ class PostureFile(OneOf):
 _Position = Annotated[float, Field(ge=-1000, le=1000)]
 _URDF_KEYS = (
     *("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"),
-    *("tool", "xacro", "locked", "total_mass_kg"),
+    *("tool", "xacro", "locked", "total_mass_kg", "carried_from"),
 )
 
 
@@ -221,6 +221,9 @@ class RobotFile(FileModel):
     """Of a URDF in xacro: values of its arguments, by their names."""
     locked: Annotated[tuple[tuple[str, float], ...], mapping_of(Text, _Position)] | None = None
     """Where other joints than the arm's are, rad or m, such as a lift; left out: as in the SRDF, else 0."""
+    carried_from: Text | None = None
+    """The first link on what bends, such as a lift's carriage: links that it does not lead to stand on the
+    floor and are no load; left out: the root link."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one
     by the volumes of their shapes. Every torque is then an estimate."""
@@ -237,7 +240,7 @@ class RobotFile(FileModel):
     @property
     def files(self) -> dict[str, Any]:
         """The model with its frames and files, as arguments of `cmbot.load_robot`."""
-        names = ("model", "base_frame", "tool_frame", "limits", "srdf", "elasticity")
+        names = ("model", "base_frame", "tool_frame", "limits", "srdf", "elasticity", "carried_from")
         return {name: getattr(self, name) for name in names} | {
             "package_dirs": self.package_dirs or (),
             "xacro": dict(self.xacro or ()),

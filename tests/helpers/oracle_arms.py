@@ -20,7 +20,7 @@ def body_of(scene: Scene) -> Multibody:
     """The bodies of a scene's robot."""
     robot = robot_of(scene)
     files = robot_files(
-        **{name: value for name, value in scene.robot.files.items() if not name.endswith("_frame")}
+        **{name: value for name, value in scene.robot.files.items() if not name.endswith(("_frame", "_from"))}
     )
     urdf = parse_urdf(files.urdf, package_dirs=files.package_dirs)
     locate_meshes(files.urdf, urdf, files.package_dirs)

@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 from command_line import run
 from rail_arms import POSTURE, rail_data
+from robot_files import replace
 
 import cmbot
-from cmbot.planning import robot_of
+from cmbot.elastic import elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.sag import Sag
+from cmbot.planning import precheck_scene, rigid_parts_remark, robot_of
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene
 
@@ -65,3 +70,58 @@ def test_a_lift_that_is_locked_is_no_spring(tmp_path: Path) -> None:
         cmbot.ModelError, match=r"joints\.rail: got a joint that slides, expected .*base\.tube"
     ):
         robot_of(scene)
+
+
+SPRINGS = [2e5, 2e5, 3e5, 5e4, 4e4, 3e4]
+
+
+def on_springs(folder: Path, foot_kg: float = 5.0, **robot: object) -> cmbot.Scene:
+    """The arm on the carriage of its rail, rail_link, of 6 kg; its foot, `base`, is at the origin of W."""
+    data = on_locked_rail(folder, rail=0.1).as_data()
+    replace(folder / "rail.urdf", '<mass value="5.0"/>', f'<mass value="{foot_kg}"/>')
+    data["robot"] |= robot
+    return load_scene(data | {"guardrail": {"bays": 0, "stiffness": SPRINGS}})
+
+
+def test_what_stands_on_the_floor_is_no_load_of_what_bends(tmp_path: Path) -> None:
+    def bent(scene: cmbot.Scene) -> tuple[Any, ElasticArm]:
+        robot = robot_of(scene)
+        return robot, elastic_arm(robot, elastic_base(scene.elastic_guardrail))
+
+    q = np.array(POSTURE[1:])
+    robot, arm = bent(on_springs(tmp_path))
+    floor, spared = bent(on_springs(tmp_path, carried_from="rail_link"))
+    assert (robot.carrier_mass, floor.carrier_mass) == pytest.approx((11.0, 6.0))
+    # The foot's 5 kg, 0.15 m along x, on six springs at the origin.
+    more = Sag(arm).at(q[None]).tool[0] - Sag(spared).at(q[None]).tool[0]
+    turned = np.cross([0, 5 * 9.81 * 0.15 / SPRINGS[4], 0], Kinematics(robot).tool_pose(q).translation)
+    expected = np.array([0, 0, -5 * 9.81 / SPRINGS[2]]) + turned
+    np.testing.assert_allclose(more, expected, atol=0.03 * np.linalg.norm(expected))
+    # With 3 t in its place nothing is another; unsaid, it sinks by them.
+    heavy, loaded = bent(on_springs(tmp_path, foot_kg=3000.0, carried_from="rail_link"))
+    np.testing.assert_array_equal(heavy.carrier_torque, floor.carrier_torque)
+    np.testing.assert_array_equal(arm_modes(loaded, q).frequencies, arm_modes(spared, q).frequencies)
+    assert arm_modes(arm, q).frequencies[2] < 0.99 * arm_modes(spared, q).frequencies[2]
+
+
+def test_a_plan_without_what_stands_on_the_floor_holds_for_the_second_engine(tmp_path: Path) -> None:
+    scene = on_springs(tmp_path, foot_kg=3000.0, carried_from="rail_link")
+    folder = cmbot.save(cmbot.plan(scene, progress=False), tmp_path / "plan")
+    assert cmbot.load_plan(folder, verify=True, scene=scene).certificate.holds
+
+
+def test_check_says_what_loads_a_base_and_where_it_bends(tmp_path: Path) -> None:
+    found = dict(precheck_scene(on_springs(tmp_path)).found)
+    assert found["stiffness of the base acts at"] == "(0, 0, 0) m"
+    assert (
+        "5 kg before rail_link count as load of the base: base (5 kg); robot.carried_from leaves out what "
+        "stands on the floor."
+    ) in found["bending"]
+    # The frame of the root link is W.
+    beside = "The base bends at the origin of W, 0.17 m from the arm's base at (0.1, 0.1, 0.1) m: "
+    assert beside in found["bending"]
+    for first in ("base", "rail_link"):
+        scene = on_springs(tmp_path, carried_from=first)
+        assert " as load " not in rigid_parts_remark(scene, robot_of(scene))
+    with pytest.raises(cmbot.SceneError, match=r"robot\.carried_from: got 'pan_link', .*'rail_link'"):
+        robot_of(on_springs(tmp_path, carried_from="pan_link"))

@@ -94,6 +94,11 @@ class DescribedArm:
             tool_length=source.tool_length_m,
             payload=source.payload_kg,
         )
+        for link in arm.urdf.findall("link"):
+            if not (source.carried_from is None or arm._leads(source.carried_from, link.get("name", ""))):
+                # It stands on the floor.
+                for inertial in link.findall("inertial"):
+                    link.remove(inertial)
         return replace(arm, range_margins=(float(np.radians(source.range_margin_deg)), source.range_margin_m))
 
     @classmethod
@@ -135,6 +140,11 @@ class DescribedArm:
         """Name of the URDF's root link."""
         (root,) = {link.get("name", "") for link in self.urdf.findall("link")} - self._above.keys()
         return root
+
+    def _leads(self, first: str, link: str) -> bool:
+        while link != first and link in self._above:
+            link = _link(self._above[link], "parent")
+        return link == first
 
     @cached_property
     def joints(self) -> tuple[str, ...]:

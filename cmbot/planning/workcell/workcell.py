@@ -29,7 +29,9 @@ from cmbot.toolpath import AUTO
 from cmbot.trajectory import QuinticTrajectory
 
 # What `load_robot` refuses by these keys stands in the scene.
-_KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked")
+_KEYS_OF_SCENES = ("base_frame", "tool_frame", "total_mass_kg", "xacro", "locked", "carried_from")
+# Links that a remark lists.
+_MOST_LOADS_NAMED = 6
 # How far from the arm a tube may end; what is between them is taken as rigid.
 _MOST_BESIDE_M = 0.5
 # From where on that is told: a flange or a plate is as high.
@@ -199,28 +201,53 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
 
 
 def rigid_parts_remark(scene: Scene, robot: Robot) -> str:
-    """Say what is taken to be rigid: an arm without an elasticity file, and what is between it and a tube."""
-    rigid = not (robot.elasticity or robot.joint_elasticity) and bending_arm(scene, robot) is not None
-    only = "Links and joints are taken to be rigid, without an elasticity file; "
-    return f"{tube_warning(scene, robot)}{f'{only}only the {scene.base_name} bends.' * rigid}".rstrip()
+    """Say what is taken to be rigid, without an elasticity file or beside what bends, and what loads that."""
+    base, told = scene.base_name, [tube_warning(scene, robot)]
+    if not (robot.elasticity or robot.joint_elasticity) and bending_arm(scene, robot) is not None:
+        only = f"only the {base} bends"
+        told.append(f"Links and joints are taken to be rigid, without an elasticity file; {only}.")
+    loads = {} if scene.on_guardrail else robot.loads_beside
+    if loads and elastic_base(held_guardrail(scene, robot)) is not None:
+        each = [f"{name} ({mass:.4g} kg)" for name, mass in loads.items()]
+        listed = ", ".join([*each[:_MOST_LOADS_NAMED], *["…"] * (len(each) > _MOST_LOADS_NAMED)])
+        told.append(
+            f"{sum(loads.values()):.4g} kg before {robot.base_frame} count as load of the {base}: {listed}; "
+            "robot.carried_from leaves out what stands on the floor."
+        )
+    return " ".join(filter(None, told))
 
 
 def tube_warning(scene: Scene, robot: Robot) -> str:
-    """Say that a tube ends beside the arm, or is longer than its obstacle; empty where it fits."""
-    (away, held), base, text = _beside_tube(scene, robot), scene.base_name, ""
+    """Say that a base bends beside the arm, or a tube is longer than its obstacle; empty where all fits."""
+    (away, held), base, told = _beside_stiffness(scene, robot), scene.base_name, list[str]()
     if away > _TOLD_BESIDE_M:
-        text = (
-            f"The {base} ends {away:.2g} m from the arm's base at ({_numbers(held)}) m: what is between is "
-            "taken to be rigid (base.tube.end_m). "
+        elsewhere = "bends at the origin of W,", "robot.mount"
+        ends, key = ("ends", "base.tube.end_m") if _tube_end(scene) else elsewhere
+        told.append(
+            f"The {base} {ends} {away:.2g} m from the arm's base at ({_numbers(held)}) m: what is between is "
+            f"taken to be rigid ({key})."
         )
     tube = None if scene.base is None else scene.base.tube
     for obstacle in scene.all_obstacles:
         if tube is not None and obstacle.name == base:
-            ends, (low, high) = np.array([tube.start_m, tube.end_m]), extent_of(obstacle)
-            left_out = float(max(*(low - ends.min(axis=0)), *(ends.max(axis=0) - high)))
+            ends_m, (low, high) = np.array([tube.start_m, tube.end_m]), extent_of(obstacle)
+            left_out = float(max(*(low - ends_m.min(axis=0)), *(ends_m.max(axis=0) - high)))
             if left_out > _MOST_LEFT_OUT_M:
-                text += f"The obstacle {base} leaves out {left_out:.2g} m of base.tube. "
-    return text
+                told.append(f"The obstacle {base} leaves out {left_out:.2g} m of base.tube.")
+    return " ".join(told)
+
+
+def stiffness_point(scene: Scene) -> tuple[float, float, float] | None:
+    """Return where a base's stiffness acts, (3,), m, in W; None: it is rigid, or below feet."""
+    if end := _tube_end(scene):
+        return end
+    rigid = scene.on_guardrail or elastic_base(scene.elastic_guardrail) is None
+    return None if rigid else (0.0, 0.0, 0.0)
+
+
+def _tube_end(scene: Scene) -> tuple[float, float, float] | None:
+    tube = None if scene.base is None else scene.base.tube
+    return None if tube is None else tube.end_m
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
@@ -327,13 +354,13 @@ def robot_of(scene: Scene) -> Robot:
 
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
-    away, held = _beside_tube(scene, robot)
-    if scene.base and scene.base.tube and away > _MOST_BESIDE_M:
-        away = math.dist(scene.base.tube.end_m, held)
+    (away, held), end = _beside_stiffness(scene, robot), _tube_end(scene)
+    if end and away > _MOST_BESIDE_M:
+        away = math.dist(end, held)
         got = f"an end {away:.3g} m from what it holds, the arm at ({_numbers(held)})"
         expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}]"
         if not scene.on_guardrail:
-            expected += f", or robot.mount: {{xyz: [{_numbers(scene.base.tube.end_m)}], rpy_deg: [0, 0, 0]}}"
+            expected += f", or robot.mount: {{xyz: [{_numbers(end)}], rpy_deg: [0, 0, 0]}}"
         raise SceneError(scene.source, "base.tube.end_m", got, expected)
 
 
@@ -344,14 +371,14 @@ def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
     return robot.foot_point if scene.on_guardrail else held
 
 
-def _beside_tube(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
-    """How far a tube ends from the arm, m, zero without one, and where the arm's base is."""
-    tube, held = None if scene.base is None else scene.base.tube, held_point(scene, robot)
-    if tube is None:
+def _beside_stiffness(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
+    """How far from the arm a base's stiffness acts, m, zero without one, and where the arm's base is."""
+    at, held = stiffness_point(scene), held_point(scene, robot)
+    if at is None:
         return 0.0, held
     # A column that lifts an arm may end at its first joint; a mount says where the arm stands.
-    points = [held] if scene.robot.mount else [held, robot.base_point]
-    return min(math.dist(tube.end_m, point) for point in points), held
+    points = [held] if scene.robot.mount and _tube_end(scene) else [held, robot.base_point]
+    return min(math.dist(at, point) for point in points), held
 
 
 def _numbers(point: Sequence[float]) -> str:

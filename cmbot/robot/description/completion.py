@@ -17,6 +17,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.common.representation import ShortRepr
+from cmbot.robot.description.frames import links_beside
 from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
@@ -183,6 +184,29 @@ def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
         f"The masses of {estimated} are estimated, {mass:.4g} kg of even density in the convex hulls of "
         "their shapes: so is every torque, force, sag and sway.",
     )
+
+
+def leave_on_floor(root: ElementTree.Element, carried_from: str, base_frame: str, source: str) -> None:
+    """Take the masses from the links of a URDF that `carried_from` does not lead to, in place.
+
+    Raises
+    ------
+    ModelError
+        When that is no link before `base_frame` and not that one; `source` is the URDF.
+    """
+    beside = links_beside(root, carried_from)
+    if base_frame in beside:
+        expected = f"a link that leads to the base frame, {base_frame!r}, or that one"
+        raise ModelError(source, "carried_from", shown(carried_from), expected)
+    for link in beside.values():
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+
+
+def loads_beside(root: ElementTree.Element, base_frame: str) -> dict[str, float]:
+    """Return the masses, kg, of the links that `base_frame` does not lead to, by name; none of zero."""
+    masses = {name: _mass_of(link) for name, link in links_beside(root, base_frame).items()}
+    return {name: mass for name, mass in masses.items() if mass > _ZERO_MASS_KG}
 
 
 def _bodies(

@@ -64,6 +64,13 @@ def moving_links(root: ElementTree.Element, base_frame: str) -> set[str]:
     return {link for link in tree.links if tree.joints(base_frame, link)}
 
 
+def links_beside(root: ElementTree.Element, link: str) -> dict[str, ElementTree.Element]:
+    """Return the links of a URDF that `link` does not lead to, by name; all where it has no such link."""
+    tree = _Tree(root)
+    beside = {name for name in tree.links if link not in tree.row(name)}
+    return {name: each for each in root.findall("link") if (name := each.get("name", "")) in beside}
+
+
 def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
     """Refuse an arm with a joint that does not turn or slide by itself, or has the name of a link.
 
