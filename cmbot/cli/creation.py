@@ -27,7 +27,10 @@ _NOT_IN_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
 # Numbers of the command line are bounded as those of a scene file.
 _LARGEST, _LARGEST_ANGLE, _LEAST_MASS_KG, _MOST_MASS_KG = 1e4, 360.0, 1e-3, 1e5
 # Options that mend an error of a robot's files, by its key.
-_REMEDY_OPTIONS = {"base_frame": "--base", "tool_frame": "--tool", "total_mass_kg": "--total-mass"}
+_REMEDY_OPTIONS = {
+    **{"base_frame": "--base", "tool_frame": "--tool"},
+    **{"total_mass_kg": "--total-mass", "locked": "--locked"},
+}
 PACKAGE_DIR_HELP = "Where package:// is sought first; repeatable."
 
 Numbers = tuple[float, float, float]
@@ -69,6 +72,11 @@ class NewCommand(Writing):
     flange: str | None = option(None, "With a tool: the frame that it is fixed to.", metavar="FRAME")
     package_dir: tuple[Path, ...] = option((), PACKAGE_DIR_HELP, metavar="DIR")
     xacro: tuple[str, ...] = option((), "An argument of the xacro file; repeatable.", metavar="NAME=VALUE")
+    locked: tuple[str, ...] = option(
+        (),
+        "Where a joint before the arm is, rad or m, such as lift_joint=0.3; repeatable.",
+        metavar="NAME=VALUE",
+    )
     total_mass: float | None = option(
         None,
         "Of a robot without masses: of all of it, which is spread over its shapes.",
@@ -107,7 +115,7 @@ class NewCommand(Writing):
         """Refuse options that the shipped robot does not need, and folders that are not there."""
         foreign: dict[str, object] = {"--base": self.base, "--tool": self.tool}
         foreign["--package-dir"] = self.package_dir
-        foreign |= {"--xacro": self.xacro, "--total-mass": self.total_mass}
+        foreign |= {"--xacro": self.xacro, "--locked": self.locked, "--total-mass": self.total_mass}
         if source == _SHIPPED_ROBOT and (given := [flag for flag, value in foreign.items() if value]):
             raise InputError(", ".join(given), "", "an option", "none with --from cmbot, which is known")
         require_folders(self.package_dir)
@@ -132,6 +140,7 @@ class NewCommand(Writing):
             tool_frame=tool_frame,
             package_dirs=self.package_dir,
             xacro=xacro_arguments(self.xacro),
+            locked=_positions(self.locked),
             total_mass=self.total_mass,
             tool=tool,
         )
@@ -237,23 +246,33 @@ def require_folders(places: Sequence[Path]) -> None:
             raise InputError("--package-dir", "", str(place), "a folder that exists")
 
 
-def xacro_arguments(given: Sequence[str]) -> dict[str, str]:
-    """Return the arguments of xacro by their names; each is ``NAME=VALUE``."""
+def xacro_arguments(
+    given: Sequence[str], option: str = "--xacro", example: str = "name=ur5e"
+) -> dict[str, str]:
+    """Return the arguments of xacro, or another option's values, by their names; each is ``NAME=VALUE``."""
     from cmbot.common.reading.validation import shown
 
     arguments: dict[str, str] = {}
     for text in given:
         name, equals, value = text.partition("=")
         if not (name.strip() and equals):
-            raise InputError("--xacro", "", shown(text), "NAME=VALUE, such as name=ur5e")
+            raise InputError(option, "", shown(text), f"NAME=VALUE, such as {example}")
         arguments[name.strip()] = value
     return arguments
+
+
+def _positions(given: Sequence[str]) -> dict[str, float]:
+    named = xacro_arguments(given, "--locked", "lift_joint=0.3")
+    try:
+        return {name: float(value) for name, value in named.items()}
+    except ValueError as error:
+        raise InputError("--locked", "", " ".join(given), "NAME=NUMBER, in rad or m") from error
 
 
 def _named_as_option(error: ModelError) -> InputError:
     """Return an error of a robot's files that an option mends with that option as its source."""
     argument = error.key.partition("xacro.")[2]
-    option = f"--xacro {argument}=VALUE" if argument else _REMEDY_OPTIONS.get(error.key)
+    option = f"--xacro {argument}=VALUE" if argument else _REMEDY_OPTIONS.get(error.key.partition(".")[0])
     return error if option is None else InputError(option, "", error.got, error.expected, error.choices)
 
 

@@ -97,6 +97,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         warnings += [*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)]
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += precheck_options(scene.planner, scene.tool)
+    at = "a place of this lift or rail before the arm; 0 m is assumed"
+    warnings += [_warning(f"robot.locked.{name}", "nothing", at) for name in robot.unplaced]
     # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
     return Precheck(

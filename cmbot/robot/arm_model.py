@@ -49,7 +49,8 @@ class ArmModel:
     """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed.
 
     `read_visual` returns another such model with the visual shapes, whose meshes it reads. `group_states` are
-    the SRDF's that set every joint of the arm, by their names.
+    the SRDF's that set every joint of the arm, by their names; `unplaced` are sliding joints before the arm
+    that neither it nor `locked` places.
     """
 
     model: Any
@@ -57,6 +58,7 @@ class ArmModel:
     read_visual: Callable[[], tuple[Any, Any]]
     group_states: dict[str, FloatArray]
     locked_joints: tuple[HoldingJoint, ...]
+    unplaced: tuple[str, ...]
     remarks: tuple[str, ...]
 
 
@@ -104,30 +106,36 @@ def arm_model(
 
     model, collision = reduced(built.collision)
     assumed = _enable_pairs(model, collision, srdf, semantics, tool)
+    slides = _locked_slides(full, moving, stance, base_frame)
+    in_states = () if semantics is None else semantics.findall("group_state/joint")
+    placed = {*locked, *(entry.get("name", "") for entry in in_states)}
     return ArmModel(
         model=model,
         collision=collision,
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
         group_states=_group_states(tuple(model.names)[1:], semantics),
         locked_joints=holding_joints(full, moving, stance, base_frame),
+        unplaced=tuple(name for name in slides if name not in placed),
         remarks=(
             *(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
-            *_locked_slides(full, moving, stance, base_frame),
+            *slides.values(),
         ),
     )
 
 
-def _locked_slides(full: Any, moving: Collection[int], stance: FloatArray, base_frame: str) -> Iterator[str]:
-    """Say which sliding joints before the arm, such as a lift, do not move."""
+def _locked_slides(full: Any, moving: Collection[int], stance: FloatArray, base_frame: str) -> dict[str, str]:
+    """Say of each sliding joint before the arm, such as a lift, that it does not move."""
+    told: dict[str, str] = {}
     before = full.supports[full.frames[full.getFrameId(base_frame)].parentJoint].tolist()[1:]
     for k, slides in enumerate(prismatic_joints(full), start=1):
         if slides and k in before and k not in moving:
             name, i = full.names[k], full.joints[k].idx_q
             lower, upper = full.lowerPositionLimit[i], full.upperPositionLimit[i]
-            yield (
+            told[name] = (
                 f"{name}, which slides from {lower:g} to {upper:g} m, is locked at {stance[i]:g} m; "
                 "robot.locked of a scene says where else, and a base frame before it lets it move."
             )
+    return told
 
 
 class Built(NamedTuple):

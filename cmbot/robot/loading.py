@@ -311,6 +311,7 @@ class _Description:
                 )
                 for joint in made.locked_joints
             ),
+            unplaced=made.unplaced,
             loads_beside=self.loads,
             remarks=(*_remarks(files), *self.estimated, *assumed, *made.remarks),
         )

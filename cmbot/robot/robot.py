@@ -77,6 +77,8 @@ class Robot:
         How it holds the guardrail; empty where it stands on something else.
     locked_joints : tuple of HoldingJoint
         Those between its root, which holds, and the arm's base, and those from there to a second foot.
+    unplaced : tuple of str
+        Sliding joints before the arm, such as a lift, of which nothing says where they are: at zero.
     loads_beside : mapping of str to float
         Masses, kg, by link, of what neither moves nor is on the arm's base, such as a lift's foot, where
         nothing says from which link on what bends carries the robot.
@@ -107,6 +109,7 @@ class Robot:
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     locked_joints: tuple[HoldingJoint, ...] = ()
+    unplaced: tuple[str, ...] = ()
     loads_beside: Mapping[str, float] = field(default_factory=dict)
     damping_ratio: float = 0.01
     remarks: tuple[str, ...] = ()

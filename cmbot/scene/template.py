@@ -33,6 +33,8 @@ class NewRobot:
     package_dirs : tuple of pathlib.Path
     xacro : mapping of str to str
         Arguments of xacro.
+    locked : mapping of str to float
+        Positions, rad or m, of joints that are not the arm's.
     total_mass : float or None, kg
     tool : AttachedToolFile or None
         That is fixed to the tool frame; paths of its meshes are absolute.
@@ -43,6 +45,7 @@ class NewRobot:
     tool_frame: str | None = None
     package_dirs: tuple[Path, ...] = ()
     xacro: Mapping[str, str]
+    locked: Mapping[str, float]
     total_mass: float | None = None
     tool: AttachedToolFile | None = None
 
@@ -75,6 +78,7 @@ class NewRobot:
             package_dirs=self.package_dirs,
             srdf=srdf,
             xacro=self.xacro,
+            locked=self.locked,
             total_mass=self.total_mass,
             tool=None if self.tool is None else self.tool.tool,
         )
@@ -97,6 +101,8 @@ class NewRobot:
         entry: dict[str, tuple[object, str]] = {"model": (model, "")}
         if self.xacro:
             entry["xacro"] = (dict(self.xacro), "")
+        if self.locked:
+            entry["locked"] = (dict(self.locked), "rad or m")
         entry["base_frame"] = (robot.base_frame, "")
         flange = robot.tool_frame if self.tool is None else robot.flange
         entry["tool_frame"] = (

@@ -264,3 +264,20 @@ def test_an_srdf_is_written_once(here: Path) -> None:
 def test_a_new_scene_is_of_a_robot_at_a_place(here: Path, words: tuple[str, ...], said: str) -> None:
     assert said in refusal("new", *words)
     assert not list(here.iterdir())
+
+
+def test_the_start_is_sought_where_a_lift_is_locked(here: Path) -> None:
+    (here / "rail.urdf").write_text(rail_urdf(), encoding="utf-8")
+    asked = ("new", "--from", "rail.urdf", "--base", "rail_link", "--tool-at", "1.0", "0.5", "0.2")
+    output(*asked, "--locked", "rail=0.3", "-o", "here.yaml")
+    scene = cmbot.load_scene("here.yaml")
+    assert dict(scene.robot.locked or ()) == {"rail": 0.3}
+    point = Kinematics(robot_of(scene)).tool_pose(scene.posture).translation
+    np.testing.assert_allclose(point, [1.0, 0.5, 0.2], atol=1e-4)
+    for value, said in (
+        ("rail=0.8", "--locked: got 0.8, expected its range, -0.5 to 0.7"),
+        ("rial=0.1", "--locked: got 'rial', expected a joint that turns or slides"),
+        ("rail=up", "--locked: got rail=up, expected NAME=NUMBER, in rad or m"),
+        ("rail", "--locked: got 'rail', expected NAME=VALUE, such as lift_joint=0.3"),
+    ):
+        assert said in refusal(*asked, "--locked", value)

@@ -125,3 +125,9 @@ def test_check_says_what_loads_a_base_and_where_it_bends(tmp_path: Path) -> None
         assert " as load " not in rigid_parts_remark(scene, robot_of(scene))
     with pytest.raises(cmbot.SceneError, match=r"robot\.carried_from: got 'pan_link', .*'rail_link'"):
         robot_of(on_springs(tmp_path, carried_from="pan_link"))
+
+
+def test_check_warns_of_a_rail_whose_place_is_not_given(tmp_path: Path) -> None:
+    (warning,) = precheck_scene(on_locked_rail(tmp_path)).warnings
+    assert (warning.key, warning.got) == ("robot.locked.rail", "nothing")
+    assert not precheck_scene(on_locked_rail(tmp_path, rail=0.0)).warnings
