@@ -80,11 +80,18 @@ def test_masses_of_a_limits_file_count_before_the_rest_is_spread(tmp_path: Path)
             load_robot(BARE, limits=limits)
 
 
-def test_a_total_mass_that_leaves_nothing() -> None:
+def test_a_total_mass_that_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(
         ModelError, match=r"total_mass_kg: got 70 kg, beside 61.9 kg .* expected no total mass"
     ):
         load_robot(ARM, total_mass=70.0)
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("format: cmbot-joint-limits/1\nmasses_kg: {link_2: 45}\n", encoding="utf-8")
+    # As a data sheet has it, that weighs the arm alone.
+    with pytest.raises(
+        ModelError, match=r"total_mass_kg: got 29.9 kg, beside 45 kg .* more than these: 74.9 if that is of"
+    ):
+        load_robot(BARE, limits=limits, total_mass=29.9)
     with pytest.raises(
         ModelError, match=r"total_mass_kg: got 0 kg from 'base_link' to 'tool0', expected the mass"
     ):

@@ -173,7 +173,8 @@ def add_masses(root: ElementTree.Element, files: RobotFiles) -> tuple[str, ...]:
         left, volume = files.total_mass - known, sum(share.values())
         if not (share and left > 0):
             got = f"{files.total_mass:g} kg, beside {known:.4g} kg that are given"
-            expected = "more than these" if share else "no total mass: no link with a shape lacks a mass"
+            expected = f"more than these: {known + files.total_mass:.4g} if that is of the others alone"
+            expected = expected if share else "no total mass: no link with a shape lacks a mass"
             raise ModelError(str(files.urdf), "total_mass_kg", got, expected)
         masses |= {name: left * part / volume for name, part in share.items()}
     for name, mass in masses.items():
