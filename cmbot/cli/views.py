@@ -229,7 +229,7 @@ class ExportCommand(Writing):
             err.print(f"Not moved, to be there first (rad or m, robot.locked): {one_line(places)}.")
         self.answer(
             lambda: _exported(written, message) | {"locked": locked},
-            lambda: _print_exported(written, self.ros, message),
+            lambda: _print_exported(written, self.ros, message, loaded),
         )
 
     def _write_message(self, plan: cmbot.Plan, file: Path) -> RosTrajectory:
@@ -254,13 +254,18 @@ def _exported(written: Iterable[Path], message: RosTrajectory | None) -> dict[st
     return told | {"moving_joints_left_out": message.left_out}
 
 
-def _print_exported(written: Iterable[Path], ros: Path | None, message: RosTrajectory | None) -> None:
+def _print_exported(
+    written: Iterable[Path], ros: Path | None, message: RosTrajectory | None, plan: cmbot.Plan
+) -> None:
     for file in written:
         said = ""
         if message is not None and file == ros:
             within = f"{message.deviation:.1e} rad (or m), at the tool {1e3 * message.tool_deviation:.2g} mm,"
             said = f": {message.points} points, between them within {within} of the plan"
         out.print(f"Written to {one_line(file)}{said}.")
+    if ros is not None:
+        start = cmbot.robot.postures_in_words(plan.robot.limits.prismatic, plan.job.trajectory.q[0])
+        out.print(f"The arm has to be at {start} before: the way there is not planned.")
 
 
 def _without(file: Path | None, message: RosTrajectory, plan: cmbot.Plan) -> str:

@@ -1,6 +1,7 @@
 """A plan as an MCAP file, read back by other code: what is in it is the planned job."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -64,6 +65,10 @@ def test_controllers_accept_what_is_written_without_efforts(
     told = output("export", saved_short, "--mcap", bag, "--ros", file, *words)
     assert told.startswith(f"Written to {bag}.\nWritten to {file}: ")
     message = json.loads(file.read_text(encoding="utf-8"))
+    start = re.search(r"The arm has to be at \((.*)\) deg before: the way there is not planned", told)
+    assert start is not None
+    there = [float(angle) for angle in start[1].split(", ")]
+    np.testing.assert_allclose(there, np.degrees(message["points"][0]["positions"]), atol=0.051)
     joints = short_plan.robot.joints
     expected = ["effort"] if effort else []
     assert refusals(message, joints, "humble") == refusals(message, joints, "jazzy") == expected
