@@ -404,10 +404,13 @@ def _measured_section(plan: Plan) -> str:
 
 def _loads_section(plan: Plan) -> str:
     """The loads for whoever sizes the base and chooses the arm."""
-    point, base = _numbers(load_point(plan), 3), plan.scene.base_name
+    point, base, robot = _numbers(load_point(plan), 3), plan.scene.base_name, plan.robot
+    still = -robot.carrier_mass * robot.model.gravity.linear[2]
     told = (
         f"Of the samples of job.csv. Forces and torques on the {base} are what the arm exerts on it, about "
-        f"({point}) m, where it is fixed, along the axes of the world; values with their signs."
+        f"({point}) m, where it is fixed, along the axes of the world; values with their signs. "
+        f"What moves is counted, {robot.arm_mass:.1f} kg; the {robot.carrier_mass:.1f} kg that do not add "
+        f"{still:.0f} N downwards and ({_numbers(robot.carrier_torque, 1)}) Nm at all times."
     )
     return section(
         "Loads on the base and the joints", f"{table(load_rows(plan), LOAD_HEADINGS)}<p>{escape(told)}</p>"

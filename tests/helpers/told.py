@@ -99,6 +99,9 @@ def of_plan(plan: Plan) -> Known:
         yield 100 * (means[0] / means[1] - 1), "%"
     if plan.baseline is not None:
         yield 1e3 * plan.baseline.drift, "mm"
+    still = plan.robot.model.inertias[0]
+    lever = np.hypot(*(still.lever - plan.robot.foot_point)[:2])
+    yield 9.81 * still.mass * float(lever), "Nm"
     yield 1e3 * plan.options.safety_margin_m, "mm"
     yield 1e3 * plan.options.max_tool_deviation_m, "mm"
     objective, whole = plan.objective, plan.job.certificate

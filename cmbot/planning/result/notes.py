@@ -156,6 +156,9 @@ def _base(plan: Plan) -> dict[str, Any]:
         "faults": baseline_faults(plan),
         "work_faults": baseline_faults(plan, work=True),
         "further": further(plan),
+        # Of the shipped robot its own pages say it.
+        "still_kg": 0.0 if plan.scene.on_guardrail else plan.robot.carrier_mass,
+        "still_nm": float(np.linalg.norm(plan.robot.carrier_torque)),
     }
     ends = [("begins", plan.scene.posture)]
     if (end := end_posture_of(plan.scene, plan.robot)) is not None:

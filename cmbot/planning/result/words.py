@@ -181,6 +181,10 @@ def _base(note: Any) -> str:
             compared = note.faults and not note.work_faults
             before = f" (baseline {note.baseline_work_nm:.1f} Nm)"
             text += f", {_against(note.work_nm, note.baseline_work_nm)}" if compared else before
+    if note.still_kg > 0:
+        text += (
+            f"; not counted are {note.still_nm:.1f} Nm by the {note.still_kg:.1f} kg on it that do not move"
+        )
     return f"{text}."
 
 
