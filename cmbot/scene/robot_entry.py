@@ -138,7 +138,7 @@ class BaseFile(FileModel):
 
     name: Slug
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others. No
-    railway bridge is drawn behind what has a name of its own."""
+    bridge is drawn behind what has a name."""
     modes: ModesFile | None = None
     """How it bends, by its natural modes; left out: as the guardrail says."""
     tube: TubeFile | None = None
@@ -176,7 +176,7 @@ class PostureFile(OneOf):
     stow: Literal[True] | None = None
     """In the group state ``stow`` of the arm's SRDF."""
     state: Text | None = None
-    """In the group state of that name of the arm's SRDF."""
+    """In that group state of the arm's SRDF."""
 
 
 _Position = Annotated[float, Field(ge=-1000, le=1000)]
@@ -198,7 +198,7 @@ class RobotFile(FileModel):
     limits: FilePath | None = None
     """Path of its joint-limits file; left out: as beside the URDF, else assumed."""
     srdf: FilePath | None = None
-    """Path of its SRDF, if there is one."""
+    """Path of its SRDF."""
     elasticity: FilePath | None = None
     """Path of its elasticity file; left out: as beside the URDF."""
     joints: Joints = "elastic"
@@ -218,15 +218,15 @@ class RobotFile(FileModel):
     range_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.0
     """By how much joints that slide do."""
     xacro: Annotated[tuple[tuple[str, str], ...], mapping_of(Text, Text)] | None = None
-    """Of a URDF in xacro: values of its arguments, by their names."""
+    """Values of its xacro arguments, by name."""
     locked: Annotated[tuple[tuple[str, float], ...], mapping_of(Text, _Position)] | None = None
     """Where other joints than the arm's are, rad or m, such as a lift; left out: as in the SRDF, else 0."""
     carried_from: Text | None = None
-    """The first link on what bends, such as a lift's carriage: links that it does not lead to stand on the
-    floor and are no load; left out: the root link."""
+    """First link on what bends, such as a lift's carriage: links that it does not lead to stand on the floor,
+    no load; left out: the root link."""
     total_mass_kg: Annotated[float, Field(gt=0, le=1e5)] | None = None
-    """Of a URDF without masses: that of the whole robot, kg, which is spread over the links without one
-    by the volumes of their shapes. Every torque is then an estimate."""
+    """Mass of the whole robot, kg, which is spread over the links without one by the volumes of their shapes:
+    every torque is then an estimate."""
 
     def _check(self) -> None:
         if self.tool is not None and self.tool_length_m is not None:
