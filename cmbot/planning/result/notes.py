@@ -238,7 +238,7 @@ def _told(plan: Plan) -> Iterator[Note]:
     tube, rigid = tube_warning(plan.scene, plan.robot), rigid_parts_remark(plan.scene, plan.robot)
     if tube:
         yield Note(level="warning", key="stiffness", values={"text": tube.rstrip()})
-    for told in (rigid.removeprefix(tube), identified_in_words(plan.scene)):
+    for told in (rigid.removeprefix(tube).strip(), identified_in_words(plan.scene)):
         if told:
             yield Note(level="note", key="stiffness", values={"text": told})
     yield from _slid(plan)
