@@ -312,7 +312,7 @@ class _Planner:
         while len(made) < len(request.strokes):
             stroke = _at_stroke(request, len(made), state[-1])
             near = before.get(stroke.stroke.name)
-            planned = plan_stroke(stroke, earlier=near, bounded=not self.brief)
+            planned = plan_stroke(stroke, earlier=near)
             if near is None and not isinstance(planned.trial.outcome, Solved):
                 planned = self._in_given_time(scene, stroke, planned, state[-1])
             outcome, file = planned.trial.outcome, stroke.stroke.file
@@ -386,6 +386,7 @@ class _Planner:
         """Return the request of a job whose strokes are of reasonable size and within reach."""
         self.reporter.stage("path")
         request = build_request(scene, self.options, self.objective, self.reporter, deadline)
+        request = replace(request, proves=not self.brief)
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
             require_tool_speed(scene, stroke)

@@ -76,7 +76,7 @@ class StrokeRequest(ShortRepr):
     least_travel : bool
         The travel of the joints is minimised in place of the objective, which has next to nothing to gain.
     proves : bool
-        The lower bound is proven where that is possible.
+        The lower bound is proven where that is possible, and found of laws that were chosen.
     deadline : Deadline
     reporter : ProgressReporter
     """

@@ -46,11 +46,7 @@ class PlannedStroke:
 
 
 def plan_stroke(
-    request: StrokeRequest,
-    *,
-    earlier: QuinticTrajectory | None = None,
-    stays: bool = False,
-    bounded: bool = True,
+    request: StrokeRequest, *, earlier: QuinticTrajectory | None = None, stays: bool = False
 ) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
@@ -61,8 +57,6 @@ def plan_stroke(
         A motion along the stroke where its frame was before: planned once, from its postures.
     stays : bool
         It starts where the arm is before, with sliding knots.
-    bounded : bool
-        With the lower bound of its own via-points, where laws were chosen; it takes charts of these.
     """
     if request.stroke.begins_elsewhere:
         begun = attempted(request, lambda: starting_at_path(request))
@@ -87,7 +81,7 @@ def plan_stroke(
             break
     if quiet.timing is not None and _sways_more(trial) and budget.left > 0:
         trial = min(searched_motion(replace(start, plain=True), budget), trial, key=_sway)
-    trial = _bounded(trial) if bounded else trial
+    trial = _bounded(trial) if request.proves else trial
     trial = replace(trial, attempt=replace(trial.attempt, more_time=quiet.more_time))
     return PlannedStroke(trial=trial, runs=budget.used)
 

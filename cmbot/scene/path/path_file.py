@@ -145,7 +145,7 @@ class PathFile(FileModel):
         else:
             for name in _TIMING_KEYS:
                 if getattr(self, name) not in (None, AUTO):
-                    expected = "no such key beside legs, which have their own"
+                    expected = f"no such key beside legs, which have their own: legs[0].{name}"
                     raise refusal(expected, got="a value", key=(*at, name))
             for k, leg in enumerate(self.legs):
                 if not leg.is_timed and self.seconds != AUTO:
