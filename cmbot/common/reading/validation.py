@@ -27,7 +27,7 @@ _MAX_SHOWN_CHARACTERS = 60
 _PLAIN_KEY = re.compile(r"[\w.\-]{1,60}")
 _REFUSAL_TYPE = "refusal"
 _UNKNOWN_KEY_TYPES = ("extra_forbidden", "unexpected_keyword_argument")
-_LENGTH_TYPES = ("missing", "too_long", "too_short")
+_LENGTH_TYPES = ("missing", "too_long", "too_short", "tuple_type", "list_type")
 _PHRASES = {
     "missing": "a value, this key is required",
     "bool_type": "true or false",
