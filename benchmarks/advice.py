@@ -37,7 +37,8 @@ def followed(data: dict[str, Any], words: str) -> dict[str, Any]:
     path = changed["tool_path"]
     if "seconds: auto on the legs" in words:
         path["legs"] = [_without_time(leg) for leg in path["legs"]]
-        path |= {"seconds": "auto", "speed_profile": {"kind": "shortest"}}
+        profile = re.search(r"speed_profile: ({.*?})", words)
+        path |= {"seconds": "auto", "speed_profile": yaml.safe_load(profile[1])}  # type: ignore[index]
         return changed
     if found := re.search(r"every leg of tool_path.legs in ([\d.]+) times its seconds", words):
         for leg in path["legs"]:

@@ -347,7 +347,8 @@ class _Planner:
             error.add_hint(own)
         if stroke.shortest is not None:
             where = "the legs of " * bool(request.stroke.file.legs) + request.stroke.key
-            keys = f"seconds: auto on {where}, with speed_profile: {{kind: shortest}},"
+            ramp = request.stroke.file.speed_profile.ramp
+            keys = f"seconds: auto on {where}, with speed_profile: {{kind: shortest, ramp: {ramp:g}}},"
             error.add_hint(f"{keys} would do, and takes {stroke.shortest:.3g} s")
         elif request.deadline.expired():
             if not isinstance(trial.failure, OutOfTime):
@@ -359,10 +360,19 @@ class _Planner:
     def _in_given_time(
         self, scene: Scene, request: StrokeRequest, refused: PlannedStroke, state: JobState
     ) -> PlannedStroke:
-        """A refused stroke whose time is too short, by its shortest motion where that takes no longer."""
-        shortest = scene.strokes[request.number].in_shortest_time()
-        out_of_time = request.task.path.open_legs or request.deadline.expired()
-        if shortest is None or out_of_time or slower_legs(request, refused.trial.failure) is None:
+        """A refused stroke whose time is too short, by its shortest motion where that takes no longer.
+
+        Where the shortest is asked for, by one from where the arm is: advice says what such a motion takes.
+        """
+        shortest, first = scene.strokes[request.number].in_shortest_time(), refused.trial.chain[0].attempt
+        if request.deadline.expired():
+            return refused
+        if request.task.path.open_legs and not first.is_pinned and request.cell.options.knots == "sliding":
+            again = plan_stroke(request, stays=True)
+            return again if isinstance(again.trial.outcome, Solved) else refused
+        if shortest is None or request.task.path.open_legs:
+            return refused
+        if slower_legs(request, refused.trial.failure) is None:
             return refused
         self.reporter.step("trying seconds: auto")
         files = (*scene.strokes[: request.number], shortest, *scene.strokes[request.number + 1 :])

@@ -38,11 +38,13 @@ def test_values_take_the_place_of_those_before(words: str, legs: list[float], ot
 
 
 def test_the_shortest_time_is_asked_for_once() -> None:
-    words = "seconds: auto on the legs of tool_path, with speed_profile: {kind: shortest}, would do"
+    words = (
+        "seconds: auto on the legs of tool_path, with speed_profile: {kind: shortest, ramp: 0.2}, would do"
+    )
     assert followed(SCENE, words) == {
         "tool_path": {
             "seconds": "auto",
-            "speed_profile": {"kind": "shortest"},
+            "speed_profile": {"kind": "shortest", "ramp": 0.2},
             "legs": [{"by": [0, 1, 0]}, {"by": [0, 0, 1]}],
         }
     }

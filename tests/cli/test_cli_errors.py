@@ -392,7 +392,9 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         assert 0.0 <= float(found[2]) <= 0.9
         assert "may" not in line
         # So slow a leg was planned.
-        assert re.search(r"; seconds: auto on .*, with .*shortest}, would do, and takes \d\.\d+ s$", line)
+        assert re.search(
+            r"; seconds: auto on .*, with .*shortest, ramp: 0\.\d+}, would do, and takes \d\.\d+ s$", line
+        )
 
 
 def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
