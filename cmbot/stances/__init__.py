@@ -15,7 +15,6 @@ from cmbot.stances.candidates import (
     candidates_of as candidates_of,
     on_two_feet as on_two_feet,
     own_candidate as own_candidate,
-    place_in_words as place_in_words,
     places_of as places_of,
     without_links as without_links,
 )

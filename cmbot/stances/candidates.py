@@ -60,7 +60,7 @@ class Candidate(ShortRepr):
     @property
     def place(self) -> str:
         """Where the feet hold, in words."""
-        return " and ".join(map(place_in_words, self.stance.held))
+        return " and ".join(place.in_words for place in self.stance.held)
 
     @property
     def feet(self) -> tuple[Side, ...]:
@@ -340,11 +340,6 @@ def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
         return None
     pair = climber.pairs[int(spare.argmin())]
     return f"{pair.link} and {pair.other} come too near to each other"
-
-
-def place_in_words(place: FootholdFile | None) -> str:
-    """Return where a foot holds, in words."""
-    return "free" if place is None else f"{place.member} at {place.along_m:.2f} m ({place.face})"
 
 
 def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2: bool = True) -> Clearances:

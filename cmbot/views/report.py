@@ -230,6 +230,8 @@ def _peak_card(plan: Plan) -> Headline:
 def _holds_card(plan: Plan) -> Headline:
     """Whether the feet hold: the share of what their safety allows that they use."""
     needed, use = plan.job.figures.adhesion_needed, hold_use(plan.job)
+    stance = plan.scene.guardrail.stance
+    feet = "" if stance is None else f", on {' and '.join(place.in_words for place in stance.held)}"
     if use is None:
         asked = "" if needed is None else f"; as magnets the feet would need {needed.peak / 1e3:.1f} kN"
         return Headline(title="Holds", value="–", detail=f"what the feet bear is not given{asked}")
@@ -240,7 +242,7 @@ def _holds_card(plan: Plan) -> Headline:
     return Headline(
         title="Holds",
         value=f"{100 * use:.0f} %",
-        detail=f"of what its safety allows, at most: {worst.quantity}{shown}, at all times of the job",
+        detail=f"of what its safety allows, at most: {worst.quantity}{shown}, at all times of the job{feet}",
         state="good" if use <= _NEAR_BOUND_SHARE else "worse" if use <= 1 else "bad",
     )
 

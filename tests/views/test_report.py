@@ -305,6 +305,11 @@ def test_what_the_feet_bear_is_a_share_of_what_their_safety_allows(
     assert holds.value == f"{100 * use:.0f} %"
     assert check.quantity in holds.detail
     assert shown in holds.detail
+    assert holds.detail.endswith("of the job")
+    stance = {"foot_1": {"member": "post_3", "along_m": 1.1}}
+    there = replace(plan, scene=plan.scene.changed(guardrail={"stance": stance}))
+    (holds,) = (card for card in headlines(there, None) if card.title == "Holds")
+    assert holds.detail.endswith("of the job, on post_3 at 1.10 m (outer)")
     # Hardly anything is left of what safety allows: amber, beyond it red.
     for share, state in ((0.94, "good"), (0.96, "worse"), (1.01, "bad")):
         (holds,) = (card for card in headlines(with_use(plan, share), None) if card.title == "Holds")

@@ -50,6 +50,11 @@ class FootholdFile(FileModel):
             choices = tuple(FACES[kind])
             raise refusal(f"a face of a {kind}", got=shown(self.face), key=("face",), choices=choices)
 
+    @property
+    def in_words(self) -> str:
+        """Where it is."""
+        return f"{self.member} at {self.along_m:.2f} m ({self.face})"
+
 
 def _place_or_free(value: Any, place: Any) -> Any:
     """Nothing for ``free``, or what `place` makes of a mapping: one error, not those of a union."""

@@ -27,7 +27,7 @@ from cmbot.planning import (
 )
 from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot, other_foot
 from cmbot.scene import LIFT_M, PlannerOptions, Scene
-from cmbot.stances import Candidate, place_in_words, scene_at, without_links
+from cmbot.stances import Candidate, scene_at, without_links
 from cmbot.stances.walking.balance import foot_at
 from cmbot.toolpath import SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -95,8 +95,9 @@ class Step(ShortRepr):
     @property
     def places(self) -> tuple[str, str]:
         """From where and to where the foot goes, in words."""
-        before, after = (node.stance.places[self.foot - 1] for node in (self.before, self.after))
-        return place_in_words(before), place_in_words(after)
+        places = (node.stance.places[self.foot - 1] for node in (self.before, self.after))
+        before, after = ("free" if place is None else place.in_words for place in places)
+        return before, after
 
 
 def space_of_arm(scene: Scene, node: Candidate, arm: FloatArray) -> FreeSpace | None:
