@@ -284,7 +284,7 @@ def _lower_bound_card(plan: Plan) -> Headline:
         why = "not computed for fixed knots" if fixed else "not computed near an earlier plan"
         why = why if plan.lower_bound is None else "another objective was minimised"
         return Headline(title="Above the lower bound", value="–", detail=why)
-    title, value, name = "Above the lower bound", f"{100 * gap:+.3f} %", f"{floor_name(plan)} {bound:.1f} Nm"
+    title, value, name = "Above the lower bound", f"{100 * gap:+.3g} %", f"{floor_name(plan)} {bound:.1f} Nm"
     if gap < 0:
         title, value, name = "Lower bound", "reached", f"{name}; moving, the arm has {-100 * gap:.2g} % less"
     elif gap > _LOOSE_GAP and (over := plan.gap_to_sequences) is not None:

@@ -206,12 +206,12 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     reached = f"{after.peak_guardrail_torque:.1f} Nm, {change:+.1f} %"
     assert peak.detail.startswith(f"at work {peak.before} → {reached}")
     assert peak.detail.endswith("486.4 Nm on the approach")
-    assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
+    assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3g} %"
     assert floor.detail == f"lower bound {triangle_plan.torque_floor:.1f} Nm, explained at the torque's plot"
     objective = replace(triangle_plan.objective, planned_peak=172.0, floor=100.0)
     loose = replace(triangle_plan, objective=objective, choice=Choice(free=171.0, pinned=None))
     floor = next(card for card in headlines(loose, None) if card.title == "Above the lower bound")
-    assert (floor.value, "; +0.6 % above the least of sequences" in floor.detail) == ("+72.000 %", True)
+    assert (floor.value, "; +0.6 % above the least of sequences" in floor.detail) == ("+72 %", True)
 
     def explained(plan: Plan) -> str:
         return next(chart.note for chart in charts(plan, None) if chart.key == "torque")
