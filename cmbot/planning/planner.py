@@ -112,8 +112,8 @@ def plan(
             return planner.partial(scene) if partial else planner.whole(scene)
 
 
-def plan_candidate(scene: Scene, options: PlannerOptions) -> Plan:
-    """Plan a scene that is one of many, as a stance is.
+def plan_candidate(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Plan:
+    """Plan a `reached_scene` that is one of many, as a stance is.
 
     Nothing is found that is only told of a plan: not the lower bound where laws were chosen, and in place of
     a refusal not what would do.
@@ -123,9 +123,7 @@ def plan_candidate(scene: Scene, options: PlannerOptions) -> Plan:
     CmbotError
         As `plan` does.
     """
-    deadline = Deadline(options.time_limit_s)
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        scene = reached_scene(scene, options, deadline)
         return replace(_Planner.of(options, None, deadline), brief=True).whole(scene)
 
 

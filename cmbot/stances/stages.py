@@ -14,7 +14,7 @@ from cmbot.common.errors import CmbotError
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.excitation import sway_mm_per_m_s2
-from cmbot.planning import Plan, bending_arm, plan_candidate, unreached_area
+from cmbot.planning import Deadline, Plan, bending_arm, plan_candidate, reached_scene, unreached_area
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 from cmbot.stances.arm import FIGURES
@@ -152,14 +152,15 @@ class Judge:
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
         limit = min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own))
         try:
-            scene = self._placed(result)
-            options = replace(scene.planner, time_limit_s=limit)
+            placed, deadline = self._placed(result), Deadline(limit)
+            options = replace(placed.planner, time_limit_s=limit)
             # First what takes a tenth of a plan's time.
-            if left_out := unreached_area(scene, options):
+            scene = reached_scene(placed, options, deadline)
+            if left_out := unreached_area(scene):
                 why = "of the rasters are not reached"
                 rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
                 return result.rejected("plan", rejection)
-            made = plan_candidate(scene, options)
+            made = plan_candidate(scene, options, deadline)
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
         figures = figures_of(made, result.candidate)

@@ -88,16 +88,9 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
     return scene.with_cells({k: parts[k] for k in changed}, whole)
 
 
-def unreached_area(scene: Scene, options: PlannerOptions) -> float:
-    """Return the area of a scene's rasters, m2, that the arm does not reach.
-
-    Raises
-    ------
-    SceneError, ModelError, PathNotFound
-        As `reached_scene`.
-    """
-    reached = reached_scene(scene, options)
-    if reached is scene:
+def unreached_area(reached: Scene) -> float:
+    """Return the area of rasters, m2, that the arm does not reach, as a `reached_scene` leaves it out."""
+    if not any(file.raster is not None for file in reached.strokes):
         return 0.0
     return sum(one.unreached for one in coverage_of(strokes_of(reached, robot_of(reached))).values())
 
