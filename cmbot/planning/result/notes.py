@@ -26,7 +26,7 @@ from cmbot.planning.result.judgement import (
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
-from cmbot.planning.workcell.workcell import held_guardrail, rigid_parts_remark, tube_warning
+from cmbot.planning.workcell.workcell import held_guardrail, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, Uncertainty
 
@@ -235,10 +235,9 @@ def _told(plan: Plan) -> Iterator[Note]:
         yield Note(level="warning", key="fallback", values={"text": text})
     for text in plan.robot.remarks:
         yield Note(level="warning", key="robot", values={"text": text})
-    tube, rigid = tube_warning(plan.scene, plan.robot), rigid_parts_remark(plan.scene, plan.robot)
-    if tube:
-        yield Note(level="warning", key="stiffness", values={"text": tube.rstrip()})
-    for told in (rigid.removeprefix(tube).strip(), identified_in_words(plan.scene)):
+    if tube := tube_warning(plan.scene, plan.robot):
+        yield Note(level="warning", key="stiffness", values={"text": tube})
+    for told in (load_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
         if told:
             yield Note(level="note", key="stiffness", values={"text": told})
     yield from _slid(plan)

@@ -202,7 +202,12 @@ def build_workcell(scene: Scene, options: PlannerOptions, own: WrenchFunction | 
 
 def rigid_parts_remark(scene: Scene, robot: Robot) -> str:
     """Say what is taken to be rigid, without an elasticity file or beside what bends, and what loads that."""
-    base, told = scene.base_name, [tube_warning(scene, robot)]
+    return " ".join(filter(None, (tube_warning(scene, robot), load_remark(scene, robot))))
+
+
+def load_remark(scene: Scene, robot: Robot) -> str:
+    """Say that the arm is taken to be rigid, and what else loads what bends."""
+    base, told = scene.base_name, list[str]()
     if not (robot.elasticity or robot.joint_elasticity) and bending_arm(scene, robot) is not None:
         only = f"only the {base} bends"
         told.append(f"Links and joints are taken to be rigid, without an elasticity file; {only}.")
@@ -214,7 +219,7 @@ def rigid_parts_remark(scene: Scene, robot: Robot) -> str:
             f"{sum(loads.values()):.4g} kg before {robot.base_frame} count as load of the {base}: {listed}; "
             "robot.carried_from leaves out what stands on the floor."
         )
-    return " ".join(filter(None, told))
+    return " ".join(told)
 
 
 def tube_warning(scene: Scene, robot: Robot) -> str:
