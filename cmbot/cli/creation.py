@@ -139,7 +139,7 @@ class NewCommand(Writing):
             base_frame=self.base,
             tool_frame=tool_frame,
             package_dirs=self.package_dir,
-            xacro=xacro_arguments(self.xacro),
+            xacro=named_values(self.xacro),
             locked=_positions(self.locked),
             total_mass=self.total_mass,
             tool=tool,
@@ -246,9 +246,7 @@ def require_folders(places: Sequence[Path]) -> None:
             raise InputError("--package-dir", "", str(place), "a folder that exists")
 
 
-def xacro_arguments(
-    given: Sequence[str], option: str = "--xacro", example: str = "name=ur5e"
-) -> dict[str, str]:
+def named_values(given: Sequence[str], option: str = "--xacro", example: str = "name=ur5e") -> dict[str, str]:
     """Return the arguments of xacro, or another option's values, by their names; each is ``NAME=VALUE``."""
     from cmbot.common.reading.validation import shown
 
@@ -262,7 +260,7 @@ def xacro_arguments(
 
 
 def _positions(given: Sequence[str]) -> dict[str, float]:
-    named = xacro_arguments(given, "--locked", "lift_joint=0.3")
+    named = named_values(given, "--locked", "lift_joint=0.3")
     try:
         return {name: float(value) for name, value in named.items()}
     except ValueError as error:

@@ -14,7 +14,7 @@ import cmbot
 from cmbot.cli.command import Command, Reporting, Writing, argument, option, require_new
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_lines, print_pairs, print_table
-from cmbot.cli.creation import PACKAGE_DIR_HELP, require_folders, xacro_arguments
+from cmbot.cli.creation import PACKAGE_DIR_HELP, named_values, require_folders
 from cmbot.cli.planning import loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
@@ -75,7 +75,7 @@ class CheckCommand(Reporting):
         file, is_urdf = self.file, _is_robot(self.file)
         if self.changes and is_urdf:
             raise InputError("--set", "", "a URDF to check", "a scene to check")
-        foreign = {"xacro": xacro_arguments(self.xacro), "package_dirs": self.package_dir}
+        foreign = {"xacro": named_values(self.xacro), "package_dirs": self.package_dir}
         for name, flag in (("xacro", "--xacro"), ("package_dirs", "--package-dir")):
             if foreign[name] and not is_urdf:
                 expected = f"robot.{name} in the scene, or a URDF to check"
