@@ -50,6 +50,21 @@ def short_scene(
     return load_scene(data | changes)
 
 
+def panda_scene(tool_path: dict[str, Any], **entries: Any) -> Scene:
+    """A Panda on the floor that follows a path."""
+    return load_scene(
+        {
+            "format": "cmbot-scene/2",
+            "name": "panda",
+            "robot": {"model": "panda", "tool_frame": "panda_hand"},
+            "guardrail": {"bays": 0},
+            "start": {"posture": [0.0, 0.2, 0.0, -1.8, 0.0, 2.0, 0.8]},
+            "tool_path": tool_path,
+        }
+        | entries
+    )
+
+
 def strokes_scene(**planner: Any) -> Scene:
     """Scene of two short strokes 0.1 m apart with a process force, sliding knots, and a return."""
     way = {"via_points": 12, "speed_profile": {"kind": "jerk_limited", "ramp": 0.4}}

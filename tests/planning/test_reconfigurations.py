@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_scenes import request_of
+from small_scenes import panda_scene, request_of
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError, PathNotFound
@@ -20,7 +20,7 @@ def turning_scene(turn_deg: float, **keys: object) -> Scene:
     points = np.array([0.5, -0.1, 0.5]) + share * [0.0, 0.2, 0.0]
     turns = Rotation.from_euler("z", turn_deg * share, degrees=True) * Rotation.from_euler("x", np.pi)
     poses = np.hstack([points, turns.as_quat(scalar_first=True)]).tolist()
-    return panda_scene(**({"seconds": 40, "waypoints": poses} | keys))
+    return followed(**({"seconds": 40, "waypoints": poses} | keys))
 
 
 def turning_legs(turn_deg: float, legs: int = 3, **keys: object) -> Scene:
@@ -30,26 +30,13 @@ def turning_legs(turn_deg: float, legs: int = 3, **keys: object) -> Scene:
         for k in range(legs + 1)
     ]
     timed = [{"to": end, "seconds": 40 / legs} for end in ends[1:]]
-    return panda_scene(legs=timed, **{"from": ends[0]}, **keys)
+    return followed(legs=timed, **{"from": ends[0]}, **keys)
 
 
-def panda_scene(**keys: object) -> Scene:
+def followed(**keys: object) -> Scene:
     """A Panda that follows a path, of which `keys` are more."""
-    return load_scene(
-        {
-            "format": "cmbot-scene/2",
-            "name": "turning",
-            "robot": {"model": "panda", "tool_frame": "panda_hand"},
-            "guardrail": {"bays": 0},
-            "start": {"posture": [0.0, 0.2, 0.0, -1.8, 0.0, 2.0, 0.8]},
-            "tool_path": {
-                "speed_profile": {"kind": "jerk_limited", "ramp": 0.3},
-                "via_points": "auto",
-                **keys,
-            },
-            "planner": {"objective": "travel", "baseline": "none"},
-        }
-    )
+    law = {"speed_profile": {"kind": "jerk_limited", "ramp": 0.3}, "via_points": "auto"}
+    return panda_scene(law | keys, planner={"objective": "travel", "baseline": "none"})
 
 
 def test_a_path_is_cut_where_no_posture_leads_on(tmp_path: Path) -> None:

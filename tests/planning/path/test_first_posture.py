@@ -4,27 +4,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import request_of
+from small_scenes import panda_scene, request_of
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.first_posture import starting_at_path
-from cmbot.scene import Scene, load_scene
+from cmbot.scene import Scene
 
 
 def scene_of(keep: Any) -> Scene:
     """A Panda whose path begins where its tool cannot point as asked, but 30 degrees aside of that."""
     begin = {"xyz": [0.6, 0.0, 0.5], "rpy_deg": [0.0, 75.0, 0.0]}
     leg = {"by": [0.0, 0.02, 0.0], "seconds": 2}
-    return load_scene(
-        {
-            "format": "cmbot-scene/2",
-            "name": "aside",
-            "robot": {"model": "panda", "tool_frame": "panda_hand"},
-            "guardrail": {"bays": 0},
-            "start": {"posture": [0.0, 0.2, 0.0, -1.8, 0.0, 2.0, 0.8]},
-            "tool_path": {"keep": keep, "from": begin, "legs": [leg], "via_points": 5},
-        }
-    )
+    return panda_scene({"keep": keep, "from": begin, "legs": [leg], "via_points": 5})
 
 
 def test_the_tool_leans_where_it_cannot_be_in_the_middle_of_its_cone() -> None:

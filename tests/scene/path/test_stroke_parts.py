@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
+from small_scenes import panda_scene
 
-from cmbot.scene import Scene, Stroke, load_scene
+from cmbot.scene import Scene, Stroke
 from cmbot.toolpath import ToolPath
 
 START = np.eye(4)
@@ -24,16 +25,7 @@ LEGS = [
 
 def scene_of(**path: Any) -> Scene:
     given = {"legs": LEGS, "via_points": 60, "speed_profile": {"kind": "trapezoidal", "ramp": 0.2}} | path
-    return load_scene(
-        {
-            "format": "cmbot-scene/2",
-            "name": "cut",
-            "robot": {"model": "panda", "tool_frame": "panda_hand"},
-            "guardrail": {"bays": 0},
-            "start": {"posture": [0.0, 0.2, 0.0, -1.8, 0.0, 2.0, 0.8]},
-            "tool_path": given,
-        }
-    )
+    return panda_scene(given)
 
 
 def way(stroke: Stroke) -> Any:
