@@ -34,7 +34,7 @@ from cmbot.views.charts import (
 from cmbot.views.drawing.meshcat_scene import Command, carrier_commands, obstacle_commands, path_commands
 from cmbot.views.page import table
 from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, frame_times, link_names, stage_data
-from cmbot.views.report import SHARES, assemble_report, promised_state, section
+from cmbot.views.report import SHARES, assemble_report, banner, promised_state, section
 
 MOST_PLANS = 6
 
@@ -73,14 +73,12 @@ def compare_page(plans: Mapping[str, Plan], trackings: Mapping[str, Tracking | N
     tracked, whole = dict(trackings or {}), len(plans) < _MIN_FOLDED_PLANS
     keys = dict(zip(_MOTION_KEYS, plans, strict=False))
     first = next(iter(plans.values()))
-    verdicts = [_verdict(name, plan, tracked.get(name), whole) for name, plan in plans.items()]
+    verdicts = []
     if said := unlike(plans):
-        what, todo = map(escape, said)
-        summary = f"<summary><b>Not one arm on one base.</b> {what}</summary>"
-        verdicts = [
-            f'<details class="verdict worse"{" open" if whole else ""}>{summary}{todo}</details>',
-            *verdicts,
-        ]
+        verdicts.append(banner("worse", *said, name="Not one arm on one base", unfolded=whole))
+    for name, plan in plans.items():
+        state, promise = promised_state(plan, tracked.get(name))
+        verdicts.append(banner(state, promise, verdict(plan, area=False), name=name, unfolded=whole))
     return assemble_report(
         _data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         title="Plans compared",
@@ -244,13 +242,6 @@ def _curves(
         kept = np.array([not strokes or name in work for name in segments])
         curves.append(Curve.of_some(key, samples.t, np.asarray(quantity(samples)), kept))
     return tuple(reversed(curves))
-
-
-def _verdict(name: str, plan: Plan, tracking: Tracking | None, whole: bool) -> str:
-    state, said = promised_state(plan, tracking)
-    first = f"<summary><b>{escape(name)}.</b> {escape(said)}</summary>"
-    words = f"{first}{escape(verdict(plan, area=False))}</details>"
-    return f'<details class="verdict {state}"{" open" if whole else ""}>{words}'
 
 
 def _cards(keys: Mapping[str, str], plans: Mapping[str, Plan], *, alike: bool) -> Iterator[str]:

@@ -141,12 +141,11 @@ def _report_html(
         "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
     }
     state, first = promised_state(plan, tracking)
-    words = f"<b>{escape(first)}</b> {escape(verdict(plan, area=False))}"
     return assemble_report(
         data | plots,
         title=escape(plan.scene.name),
         # What comes first: whether promises are kept, what they leave out, what the base must bear.
-        verdict=f'<p class="verdict {state}">{words}</p>',
+        verdict=banner(state, first, verdict(plan, area=False)),
         shares=SHARES,
         cards="".join(map(_card, headlines(plan, tracking))),
         key=_key(plan),
@@ -511,7 +510,7 @@ def _key(plan: Plan) -> str:
     return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion}, not optimised")}'
 
 
-def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[str, str]:
+def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[State, str]:
     """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
@@ -530,6 +529,13 @@ def _card(headline: Headline) -> str:
         f"<p>{before if headline.before else ''}<b>{escape(headline.value)}</b></p>"
         f"<p>{escape(headline.detail)}</p></article>"
     )
+
+
+def banner(state: State, first: str, said: str, *, name: str = "", unfolded: bool = True) -> str:
+    """Return what a page begins with: a first sentence after a plan's name, which unfolds to all others."""
+    words = f"<b>{escape(name)}.</b> {escape(first)}" if name else f"<b>{escape(first)}</b>"
+    opened = " open" if unfolded else ""
+    return f'<details class="verdict {state}"{opened}><summary>{words}</summary>{escape(said)}</details>'
 
 
 def section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "") -> str:

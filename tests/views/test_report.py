@@ -43,7 +43,7 @@ def test_every_figure_check_and_remark_is_in_it(
     for check in triangle_plan.certificate.checks:
         assert check.quantity.replace("'", "&#x27;") in cells
     said, *others = remarks(triangle_plan)
-    assert f"</b> {said}</p>" in text
+    assert f"</b></summary>{said}</details>" in text
     for remark in others:
         assert f"<li>{remark}</li>".replace("'", "&#x27;") in text
     for name in asdict(triangle_plan.options):
@@ -106,10 +106,10 @@ def test_the_banner_is_green_only_where_the_bent_tool_keeps_its_margin_too(
     off = f"up to {1e3 * triangle_tracking.planned.largest_off_path:.2f} mm off its path"
     said = f"Simulated, the bent tool is {off}, beyond the margin of 0.2 mm."
     assert tracking_verdict(triangle_plan, triangle_tracking).startswith("Not within the margin")
-    assert f'<p class="verdict worse">{kept} {said}</b>' in text
-    assert f'<p class="verdict good">{kept}</b>' in report_page(triangle_plan)
+    assert f'<details class="verdict worse" open><summary>{kept} {said}</b>' in text
+    assert f'<details class="verdict good" open><summary>{kept}</b>' in report_page(triangle_plan)
     assert tracking_verdict(*compensated_short).startswith("Within the margin")
-    assert '<p class="verdict good">' in report_page(*compensated_short)
+    assert '<details class="verdict good" open>' in report_page(*compensated_short)
 
 
 def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -> None:
@@ -119,8 +119,8 @@ def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -
     kept = "<b>Every promise is kept: 26 checks hold at all times."
     said = "Of the surface 0.02 of 0.08 m2 are not reached."
     page = report_page(plan)
-    assert f'<p class="verdict worse">{kept} {said}</b>' in page
-    banner = page.partition('<p class="verdict')[2].partition("</p>")[0]
+    assert f'<details class="verdict worse" open><summary>{kept} {said}</b>' in page
+    banner = page.partition('<details class="verdict')[2].partition("</details>")[0]
     assert banner.count("not reached") == 1
 
 
@@ -128,7 +128,8 @@ def test_the_banner_is_no_longer_green_where_a_tolerance_is_not_kept(triangle_pl
     plan = replace(triangle_plan)
     plan.__dict__["accuracy"] = replace(triangle_plan.accuracy, tolerance_kept=False, tolerance_share=0.7)
     told = (
-        r'<p class="verdict worse"><b>Every promise is kept: \d+ checks hold at all times. The tolerance of'
+        r'<details class="verdict worse" open><summary>'
+        r"<b>Every promise is kept: \d+ checks hold at all times. The tolerance of"
     )
     assert re.search(told, report_page(plan))
 
@@ -275,7 +276,8 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     text = report_page(plan)
     assert ">NO</td>" in text
     each = len(list(plan.job.checks()))
-    assert f'<p class="verdict bad"><b>NOT SAFE: 1 of {each} promises is broken.</b>' in text
+    first = f"<b>NOT SAFE: 1 of {each} promises is broken.</b>"
+    assert f'<details class="verdict bad" open><summary>{first}</summary>' in text
     approach = triangle_plan.approach
     plan = changed(triangle_plan, "approach", certificate=broken(approach.certificate))
     certified, number = list(headlines(plan, None))[4], len(approach.certificate.checks)

@@ -35,7 +35,7 @@ class Player {
     this.note(0);
     if (data.bending) this.offerFactors(data.bending.factors);
     this.showJob();
-    this.seek(data.start);
+    this.seek(data.workStart);
   }
 
   connect() {
@@ -58,7 +58,7 @@ class Player {
   follow(hash) {
     const [time, camera = ""] = hash.slice(1).split("/"), values = camera.split(",").map(Number);
     if (values.length === 6 && values.every(Number.isFinite)) this.stage.look(values);
-    this.seek(Number(time || this.data.start));
+    this.seek(Number(time || this.data.workStart));
   }
 
   // Keep time and camera in the page's address, once they rest. A page within another one has none of its own.
@@ -68,7 +68,7 @@ class Player {
     this.waiting = setTimeout(() => {
       const { stage, time, data } = this, short = (value) => Number(value.toFixed(3));
       const place = stage.turned ? `/${stage.place.map(short).join()}` : "";
-      const hash = place || time !== data.start ? `#${short(time)}${place}` : "";
+      const hash = place || time !== data.workStart ? `#${short(time)}${place}` : "";
       const { pathname, search } = window.location;
       if (hash !== window.location.hash) window.history.replaceState(null, "", pathname + search + hash);
     }, 300);
@@ -248,7 +248,8 @@ class Player {
 
   play() {
     if (this.playing) return;
-    if (this.time >= this.data.end) this.seek(this.data.start);
+    // A page opens where the work begins, with the arm out of its stow; what is played is the whole job.
+    if (this.time >= this.data.end || this.time === this.data.workStart) this.seek(this.data.start);
     this.setPlaying(true);
     let last = performance.now();
     const advance = (now) => {

@@ -94,7 +94,7 @@ start((data) => {
 
   player.stage.scrollWithWheel();
 
-  // On a phone the verdicts on compared plans are folded: figures and view come soon.
+  // On a phone the verdicts are folded to their first sentence: figures and view come soon.
   const verdicts = [...document.querySelectorAll("details.verdict")];
   if (window.matchMedia("(max-width: 640px)").matches) for (const each of verdicts) each.open = false;
 
