@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import chain
 
@@ -21,14 +21,14 @@ _REPLAY_LINK = {"replay": "replay.html"}
 
 
 def walk_page(walk: Walk) -> str:
-    """Return an HTML page that opens no connection and runs no script.
+    """Return an HTML page that opens no connection and runs no script; a link leads to the replay beside it.
 
     Parameters
     ----------
     walk : Walk
     """
     samples = list(walk_samples(walk))
-    content = f"<section>{guardrail_map(walk.scene, samples)}</section>"
+    content = f"<p>{_links(_REPLAY_LINK)}</p><section>{guardrail_map(walk.scene, samples)}</section>"
     content += f"<section>{steps_table(walk, samples)}</section>"
     return still_page(f"Walk: {walk.scene.name}", walk.in_words(), content)
 
@@ -98,8 +98,8 @@ def tour_page(tour: Tour) -> str:
     content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stands)}</section>"
     for name, _, part in parts:
         pages = {"report": REPORT} if isinstance(part, Plan) else {"walk": "index.html"}
-        links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY_LINK).items())
-        content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{', '.join(links)}</p>"
+        links = _links({what: f"{name}/{page}" for what, page in (pages | _REPLAY_LINK).items()})
+        content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{links}</p>"
         if isinstance(part, Plan):
             each = table(part.rows(), part.headings)
         else:
@@ -107,6 +107,10 @@ def tour_page(tour: Tour) -> str:
             each = said + steps_table(part, samples[tour.walks.index(part)])
         content += f"<section>{each}</section>"
     return still_page(f"Tour: {tour.name}", tour.in_words(), content)
+
+
+def _links(pages: Mapping[str, str]) -> str:
+    return ", ".join(f'<a href="{page}">{what}</a>' for what, page in pages.items())
 
 
 def _what(part: Plan | Walk) -> str:

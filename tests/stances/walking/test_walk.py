@@ -178,6 +178,7 @@ def test_a_walk_as_files(walked: Walk) -> None:
     data = json.loads(json.dumps(walk_data(walked)))
     assert data["steps"][0]["to"] == "top_rail at 4.09 m (outer)"
     page = walk_page(walked)
+    assert '<a href="replay.html">replay</a>' in page
     assert "<script" not in page
     assert "http://" not in page
     assert page.count("<circle") == 3
