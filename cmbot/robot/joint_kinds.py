@@ -75,12 +75,12 @@ def joint_units(prismatic: bool, *, shown: bool = False) -> JointUnits:
     return _TURNING_SHOWN if shown else _TURNING
 
 
-def postures_in_words(prismatic: Sequence[bool] | BoolArray, q: FloatArray, digits: int = 1) -> str:
+def postures_in_words(prismatic: Sequence[bool] | BoolArray, q: FloatArray) -> str:
     """Return a posture (n,) as in ``(10.0, 90.0) deg``; where joints slide each has its unit, m to 1 mm."""
     if not any(prismatic):
-        return f"({', '.join(f'{angle:.{digits}f}' for angle in np.rad2deg(q))}) deg"
+        return f"({', '.join(f'{angle:.1f}' for angle in np.rad2deg(q))}) deg"
     each = (
-        f"{value:.{digits + 2}f} m" if slides else f"{np.rad2deg(value):.{digits}f} deg"
+        f"{value:.3f} m" if slides else f"{np.rad2deg(value):.1f} deg"
         for slides, value in zip(prismatic, q, strict=True)
     )
     return f"({', '.join(each)})"

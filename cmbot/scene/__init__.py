@@ -60,7 +60,12 @@ from cmbot.scene.scene_file import (
     scene_from_data as scene_from_data,
     scene_path as scene_path,
 )
-from cmbot.scene.template import NewRobot as NewRobot, limits_text as limits_text, scene_text as scene_text
+from cmbot.scene.template import (
+    NewRobot as NewRobot,
+    limits_text as limits_text,
+    scene_text as scene_text,
+    start_entry as start_entry,
+)
 from cmbot.scene.tool import SPEED_TOLERANCE as SPEED_TOLERANCE, Tool as Tool
 from cmbot.scene.uncertainty import (
     Placement as Placement,

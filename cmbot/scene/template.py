@@ -139,7 +139,8 @@ name: {name}
 robot:
 {robot}
 # Found by inverse kinematics; puts the tool point at {point}.
-{posture}
+start:
+  {start}
 
 tool_path:
   keep: {keep}  # of the tool: pose, axis, position or {{axis_within_deg: 10}}
@@ -217,7 +218,7 @@ def scene_text(
         world="" if on_guardrail else ": that of the robot's root link",
         name=name,
         robot="".join(lines),
-        posture=_posture(posture, prismatic),
+        start=start_entry(posture, prismatic),
         point="({:z.4f}, {:z.4f}, {:z.4f})".format(*tool_point),
         keep=keep,
         by=_flow(list(by)),
@@ -230,12 +231,12 @@ def scene_text(
 _RIGID_BASE = "{bays: 0}  # none: a rigid base; base.tube or stiffness, 6 x 6 in SI, bends"
 
 
-def _posture(q: FloatArray, prismatic: BoolArray) -> str:
-    """The entry of a posture (n,)."""
+def start_entry(q: FloatArray, prismatic: BoolArray) -> str:
+    """Return the line under ``start`` of a scene file that has a posture (n,), rad or m."""
     if not prismatic.any():
-        return f"start:\n  posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
-    numbers = _flow([round(value, 5) for value in q.tolist()])
-    return f"start:\n  posture: {numbers}  # rad and, of joints that slide, m"
+        return f"posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
+    # In rad and, of joints that slide, m.
+    return f"posture: {_flow([round(value, 5) for value in q.tolist()])}"
 
 
 def limits_text(joints: Sequence[str], limits: JointLimits) -> str:

@@ -28,7 +28,7 @@ from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
 from cmbot.planning.workcell.workcell import held_guardrail, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
-from cmbot.scene import STOW, Uncertainty
+from cmbot.scene import STOW, Uncertainty, start_entry
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
 _MIN_GAIN_SHARE, _NEAR_BOUND = 1e-2, 1e-2
@@ -185,9 +185,9 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
         if plan.start.moved:
             limits = plan.robot.limits
             # So that it can be put into a scene: rounded it is within the ranges.
-            step = np.where(limits.prismatic, 1e-6, np.radians(1e-4))
+            step = np.where(limits.prismatic, 1e-5, np.radians(1e-4))
             inside = np.clip(plan.start.posture, limits.lower + step, limits.upper - step)
-            values["start"] = postures_in_words(limits.prismatic, inside, digits=4)
+            values["start"] = start_entry(inside, limits.prismatic)
             values["pinned"] = plan.scene.pinned_posture if plan.options.start == "free" else None
         yield Note(level="first", key="free_moves", values=values)
 
