@@ -104,9 +104,7 @@ class Segment(_Timed):
         if file.is_open or not file.time_laws:
             return None
         plain = self.task.path.with_law(file.speed_profile.law, {law.leg for law in file.time_laws})
-        leg, share = self.task.path.leg_shares(self.trajectory.t)
-        times = np.array([plain.times_at(int(k), s[None])[0] for k, s in zip(leg, share, strict=True)])
-        space = SplineSpace(times)
+        space = SplineSpace(plain.times_at(*self.task.path.leg_shares(self.trajectory.t)))
         return space.trajectory(space.least_jerk(self.trajectory.q))
 
 

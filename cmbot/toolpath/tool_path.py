@@ -361,10 +361,13 @@ class ToolPath(ShortRepr):
             share[which] = segment.law.share(share[which])
         return leg, share
 
-    def times_at(self, leg: int, shares: FloatArray) -> FloatArray:
-        """Return the times (N,), s, at which shares (N,) of a leg's length are covered."""
-        segment = self.segments[leg]
-        return np.asarray(self.leg_times[leg] + segment.law.time_share(shares) * segment.seconds)
+    def times_at(self, legs: ArrayLike, shares: ArrayLike) -> FloatArray:
+        """Return the times (N,), s, at which shares (N,) of the lengths of legs, (N,) or one, are covered."""
+        leg, share = np.broadcast_arrays(np.asarray(legs, dtype=np.intp), np.asarray(shares, dtype=float))
+        times = np.empty(len(share))
+        for which, segment in self._on_legs(leg):
+            times[which] = self.leg_times[leg[which]] + segment.law.time_share(share[which]) * segment.seconds
+        return times
 
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""

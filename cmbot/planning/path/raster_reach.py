@@ -148,16 +148,15 @@ class _Follower:
     def _places(self, cell: _Cell) -> _Places:
         raster = replace(self._raster, pieces=cell, overscan_m=self._over)
         path = self._path(rows_alone(self._request.stroke.file, raster))
-        legs, shares, times = list[IntArray](), list[FloatArray](), list[FloatArray]()
+        legs, shares = list[IntArray](), list[FloatArray]()
         every = max(self._every, float(path.lengths.sum()) / _MAX_PLACES)
         for leg, length in enumerate(path.lengths):
             each = np.linspace(0.0, 1.0, max(int(np.ceil(length / every)), 1) + 1)
             each = each if leg % 2 == 0 else each[1:-1]
             shares.append(each)
             legs.append(np.full(len(each), leg))
-            times.append(path.times_at(leg, each))
-        t = np.concatenate(times)
-        return _Places(np.concatenate(legs), np.concatenate(shares), path.poses(t))
+        at, share = np.concatenate(legs), np.concatenate(shares)
+        return _Places(at, share, path.poses(path.times_at(at, share)))
 
     def _path(self, file: StrokeFile) -> ToolPath:
         X_WT, begin = np.eye(4), self._request.task.path.poses([0.0])

@@ -89,10 +89,7 @@ class Timing:
     def via_points(self, timed: StrokeRequest) -> FloatArray:
         """Postures (k, n) of the joint path at the via-points of a request in another time."""
         leg, share = timed.task.path.leg_shares(timed.times)
-        old = np.empty(len(leg))
-        for k in np.unique(leg):
-            old[leg == k] = self.request.task.path.times_at(int(k), share[leg == k])
-        q = self.trajectory.evaluate(old)
+        q = self.trajectory.evaluate(self.request.task.path.times_at(leg, share))
         for path in self.paths:
             q[leg == path.leg] = path.q(share[leg == path.leg])
         # The arm starts where it did.

@@ -99,10 +99,8 @@ def _part(file: StrokeFile, path: ToolPath, begin: float, end: float) -> tuple[f
         if file.given_time is not None:
             changes["seconds"] = share * file.given_time
         return share, changes
-    times = [
-        float(path.times_at(int(at), np.array([at % 1]))[0]) if at < file.steps else path.duration
-        for at in (begin, end)
-    ]
+    legs = np.minimum(np.floor([begin, end]), file.steps - 1)
+    times = path.times_at(legs, np.array([begin, end]) - legs)
     poses = zip(path.position(times), np.broadcast_to(path.rotation(times), (2, 3, 3)), strict=True)
     goals = [Goal(xyz=tuple(point.tolist()), rpy_deg=rpy_deg(R)) for point, R in poses]
     changes = {
