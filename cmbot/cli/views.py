@@ -34,7 +34,9 @@ class ReplayCommand(Reporting):
     """
 
     directory: Path = argument("A plan directory, or a walk's folder.", "DIR")
-    html: Path | None = option(None, "Page to write; DIR/replay.html if left out.", alone="output")
+    html: Path | None = option(
+        None, "Page to write; DIR/replay.html if left out.", "--html", "-o", alone="output"
+    )
     serve: bool = option(False, "Serve the page on 127.0.0.1 instead.", alone="output")
     video: Path | None = option(None, "Film it instead, such as FILE.mp4; takes minutes.", alone="output")
     gif: Path | None = option(None, "Film it as a small GIF instead, four times as fast.", alone="output")
@@ -124,7 +126,9 @@ class ReportCommand(Writing):
     """
 
     directory: Path = argument("A plan directory.", "DIR")
-    html: Path | None = option(None, "Page to write; DIR/report.html if left out.")
+    html: Path | None = option(
+        None, "Page to write; DIR/report.html if left out.", "--html", "--output", "-o"
+    )
 
     def __call__(self) -> None:
         directory, html = self.directory, self.html
