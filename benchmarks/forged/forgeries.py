@@ -361,6 +361,7 @@ _SCENES: tuple[tuple[str, str, Data], ...] = (
     ("rows that lack the last", "rows", {"tool_path.raster.v": [0, 0, -0.05]}),
     ("rows 50 mm lower", "rows", {"frames.plate.xyz": [1.9354, 0.55, -2.25]}),
     ("rows at 17 cm", "rows", {"tool_path.raster.stand_off_m": 0.17}),
+    ("rows on which the tool leans", "rows", {"tool_path.raster.lean_deg": [0, 5]}),
     ("one stroke of two", "strokes", {"tool_path.strokes[1]": None}),
     ("a stroke backwards", "strokes", {"tool_path.strokes[1].backwards": True}),
     ("no return", "strokes", {"return": None}),

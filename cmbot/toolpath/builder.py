@@ -19,7 +19,7 @@ from cmbot.toolpath.path_source import PathDescription, PathSource
 from cmbot.toolpath.raster.face_rows import FaceRows, FaceSurface
 from cmbot.toolpath.raster.pieces import RowPiece
 from cmbot.toolpath.raster.raster import CylinderPatch, Raster
-from cmbot.toolpath.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
+from cmbot.toolpath.raster.rows import cylinder_corners, rectangle_axes, rectangle_corners, tool_cylinder
 from cmbot.toolpath.raster.surface import Surface
 from cmbot.toolpath.stretches import Fit, stretches, waypoint_poses
 from cmbot.toolpath.time_law import ProcessPart, TimeLaw, law_with_leads
@@ -247,8 +247,8 @@ class _PathBuilder:
 
     def _pipe(self, raster: Raster, pipe: CylinderPatch) -> None:
         """Add the rows over a cylinder and the steps between them."""
-        X_WC, radius = cylinder_frame(pipe, self._raster_frame(raster)), pipe.radius + raster.stand_off_m
-        axis, corners = X_WC[:3, 2], cylinder_corners(raster, pipe, self._pieces)
+        X_WC, radius, _ = tool_cylinder(raster, pipe, self._raster_frame(raster))
+        axis, corners = X_WC[:3, 2], cylinder_corners(raster, pipe, self._pieces, radius)
         moves = np.diff(corners, axis=0)
         lengths = np.linalg.norm(moves, axis=1)
         seconds, blend = self._shared_seconds(lengths), self._file.blend_radius_m
@@ -321,17 +321,16 @@ class _PathBuilder:
         """Tool point and orientation at the beginning of the first row."""
         X_WF = self._raster_frame(raster)
         if self._face_rows is not None:
-            point, normal = self._face_rows.points[0][0], -self._face_rows.axes[0][0]
+            point, ahead = self._face_rows.points[0][0], self._face_rows.axes[0][0]
         elif raster.cylinder is not None:
-            X_WC, radius = cylinder_frame(raster.cylinder, X_WF), raster.cylinder.radius
-            x, y, _ = cylinder_corners(raster, raster.cylinder, self._pieces)[0]
-            radius += raster.stand_off_m
-            normal = X_WC[:3, :3] @ [np.cos(x / radius), np.sin(x / radius), 0.0]
-            point = X_WC[:3, 3] + radius * normal + y * X_WC[:3, 2]
+            X_WC, radius, away = tool_cylinder(raster, raster.cylinder, X_WF)
+            x, y, _ = cylinder_corners(raster, raster.cylinder, self._pieces, radius)[0]
+            turned = _turned(x / radius * X_WC[:3, 2], X_WC[:3, :3])
+            point, ahead = X_WC[:3, 3] + radius * turned[:, 0] + y * X_WC[:3, 2], -turned @ away
         else:
             point = rectangle_corners(raster, self._pieces, X_WF)[0]
-            normal = rectangle_axes(raster, X_WF)[2]
-        turn = shortest_turns(self._R[None, :, 2], -normal[None])[0]
+            ahead = -rectangle_axes(raster, X_WF)[2]
+        turn = shortest_turns(self._R[None, :, 2], ahead[None])[0]
         return point, _turned(turn, self._R)
 
     def _shared_seconds(self, lengths: FloatArray) -> FloatArray:

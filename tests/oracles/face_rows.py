@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 
-__all__ = ["face_rows"]
+__all__ = ["face_rows", "tool_direction"]
 
 # As the package documents them: height of faces that count as a plane, m, and points of other rows.
 _FLAT, _LEAST_NODES = 1e-4, 5
@@ -59,17 +59,30 @@ def face_rows(
         else:
             found = [_under(local, smooth, faces, corners, s, y) for s in places]
             surface, normals = (np.array(each) for each in zip(*found, strict=True))
-        tool = surface + raster.stand_off_m * normals
+        across = np.cross(normals, [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        back = tool_direction(raster, np.cross(across, normals), across, normals)
+        tool = surface + raster.stand_off_m * back
         if raster.overscan_m > 0:
             ahead = [np.cross(normal, np.cross([1, 0, 0], normal)) for normal in normals[[0, -1]]]
             before, behind = (raster.overscan_m * way / np.linalg.norm(way) for way in ahead)
             tool = np.vstack([tool[0] - before, tool, tool[-1] + behind])
-            normals = normals[[0, *range(len(normals)), -1]]
+            back = back[[0, *range(len(back)), -1]]
         if is_flat:
-            tool, normals = tool[[0, -1]], normals[[0, -1]]
+            tool, back = tool[[0, -1]], back[[0, -1]]
         order = slice(None) if k % 2 == 0 else slice(None, None, -1)
-        rows.append(((tool @ axes.T)[order], (-normals @ axes.T)[order]))
+        rows.append(((tool @ axes.T)[order], (-back @ axes.T)[order]))
     return rows
+
+
+def tool_direction(raster: Any, along: FloatArray, across: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return unit vectors (..., 3) out of the surface, where two planes meet that lean from the normal."""
+    ahead, aside = np.radians(raster.lean_deg or (0.0, 0.0))
+    first = np.cos(ahead) * along - np.sin(ahead) * normal
+    second = np.cos(aside) * across - np.sin(aside) * normal
+    both = np.cross(first, second)
+    both *= np.sign((both * normal).sum(axis=-1, keepdims=True))
+    return np.asarray(both / np.linalg.norm(both, axis=-1, keepdims=True))
 
 
 def _chosen(

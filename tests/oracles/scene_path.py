@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from oracles.face_rows import face_rows
+from oracles.face_rows import face_rows, tool_direction
 from oracles.rotations import rodrigues, rpy, skew
 from oracles.speed_laws import (
     TimedLeg,
@@ -306,6 +306,7 @@ class ScenePath:
         width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
         out = np.cross(u / width, v / height)
         along, rows = u / width, raster.rows
+        out = tool_direction(raster, u / width, v / height, out)
         begin = p_frame + R_frame @ origin + raster.stand_off_m * out
         corners = [begin + x * along + row * v / (rows - 1) for row, x in _ends(raster, width)]
         local = _Axis(_three(-out))
@@ -371,7 +372,7 @@ class ScenePath:
         """Rows over a cylinder: turned and shifted from the pose at the beginning of the first one."""
         p_frame, R_frame = self._frames[raster.frame]
         axis = R_frame @ np.array(pipe.axis) / np.linalg.norm(pipe.axis)
-        centre, outer = p_frame + R_frame @ np.array(pipe.centre), pipe.radius + raster.stand_off_m
+        centre = p_frame + R_frame @ np.array(pipe.centre)
         upright = np.degrees(np.arccos(np.abs(R_frame[:, 2] @ axis))) < 10
         zero = np.cross(axis, np.cross(R_frame[:, 0 if upright else 2], axis))
         zero /= np.linalg.norm(zero)
@@ -387,8 +388,11 @@ class ScenePath:
                 places.append((first + row * angle / raster.steps, low + x))
         place = places[0]
         out = rodrigues(place[0] * axis) @ zero
-        p = centre + outer * out + place[1] * axis
-        R = self._goal(_Axis(_three(-out)), R)[1]
+        ways = [axis, np.sign(angle) * np.cross(axis, out)]
+        back = tool_direction(raster, *(ways[::-1] if pipe.rows == "around" else ways), out)
+        p = centre + pipe.radius * out + place[1] * axis + raster.stand_off_m * back
+        outer = float(np.linalg.norm(np.cross(axis, p - centre)))
+        R = self._goal(_Axis(_three(-back)), R)[1]
 
         def add(plane: _Points, seconds: float, length: float) -> None:
             def turned(share: FloatArray) -> FloatArray:

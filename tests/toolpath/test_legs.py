@@ -277,6 +277,34 @@ def test_a_pipe_is_worked_on_to_and_fro(rows: str, more: dict[str, Any]) -> None
     np.testing.assert_allclose(path.end_pose[:3, :3], path.orientation, atol=1e-9)
 
 
+@pytest.mark.parametrize("more", [{}, {"blend_radius_m": 0.02}])
+@pytest.mark.parametrize("frame", ["world", "bracket"])
+@pytest.mark.parametrize("surface", ["rectangle", "along", "around"])
+def test_a_tool_that_leans_points_at_its_rows(surface: str, frame: str, more: dict[str, Any]) -> None:
+    cylinder = {**CYLINDER, "from_deg": 150, "to_deg": 90, "rows": surface}
+    raster = {**(RASTER if surface == "rectangle" else PIPE | {"cylinder": cylinder}), "frame": frame}
+    square = scene_of(raster={**raster, "stand_off_m": 0.0}, speed_m_s=0.1)
+    scene = scene_of(raster={**raster, "lean_deg": [10, -25]}, speed_m_s=0.1, **more)
+    check_path(scene)
+    if more:
+        return
+    rows, path = (each.timed_strokes(np.eye(4))[0].path for each in (square, scene))
+    ahead, normals = (
+        path.poses(path.leg_times).rotation[:, :, 2],
+        -rows.poses(rows.leg_times).rotation[:, :, 2],
+    )
+    # The point of the axis 0.1 m ahead of the tool is where a tool on the surface would be.
+    np.testing.assert_allclose(path.corners + 0.1 * ahead, rows.corners, atol=1e-9)
+    # In a short while from where a row begins, and from there to where the next one ends.
+    ways = rows.position(np.array([0.01, 1.0]))[0] - rows.corners[0], rows.corners[3] - rows.corners[0]
+    for way, angle in zip(ways, (10, -25), strict=True):
+        way -= (way @ normals[0]) * normals[0]
+        leaning = np.arctan2(-ahead[0] @ way / np.linalg.norm(way), -ahead[0] @ normals[0])
+        assert np.degrees(leaning) == pytest.approx(angle, abs=1e-3)
+    # It is as askew to the surface everywhere.
+    np.testing.assert_allclose((ahead * normals).sum(axis=1), (ahead[0] @ normals[0]), atol=1e-9)
+
+
 def test_a_pipe_is_worked_on_all_round_without_a_row_twice() -> None:
     scene = scene_of(
         raster={**PIPE, "cylinder": {**PIPE["cylinder"], "from_deg": -90, "to_deg": 270}}, speed_m_s=0.1

@@ -268,17 +268,25 @@ def _surface_misses(raster: Raster, X: FloatArray, p: FloatArray, z: FloatArray)
 
     `X` (4, 4) is the pose of the raster's frame.
     """
-    local, ahead = (p - X[:3, 3]) @ X[:3, :3], z @ X[:3, :3]
+    ahead = z @ X[:3, :3]
+    # Where the tool's axis meets the surface.
+    local = (p - X[:3, 3]) @ X[:3, :3] + raster.stand_off_m * ahead
     if raster.rectangle is not None:
         origin, u, v = map(np.array, raster.rectangle)
         out = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
         height, normal = (local - origin) @ out, np.broadcast_to(out, local.shape)
+        rows = [np.broadcast_to(edge / np.linalg.norm(edge), local.shape) for edge in (u, v)]
     elif raster.cylinder is not None:
         axis = np.array(raster.cylinder.axis) / np.linalg.norm(raster.cylinder.axis)
         arm = local - np.array(raster.cylinder.centre)
         arm = arm - (arm @ axis)[:, None] * axis
         radius = np.linalg.norm(arm, axis=1)
         height, normal = radius - raster.cylinder.radius, arm / radius[:, None]
+        rows = [np.broadcast_to(axis, local.shape), np.sign(raster.cylinder.angle) * np.cross(axis, normal)]
+        rows = rows if raster.cylinder.rows == "along" else rows[::-1]
     else:
         return np.empty((0, 2))
-    return np.stack([np.abs(height - raster.stand_off_m), np.linalg.norm(ahead + normal, axis=1)], axis=1)
+    slopes = np.tan(np.radians(raster.lean_deg or (0.0, 0.0)))
+    back = normal + slopes[0] * rows[0] + slopes[1] * rows[1]
+    back /= np.linalg.norm(back, axis=1, keepdims=True)
+    return np.stack([np.abs(height), np.linalg.norm(ahead + back, axis=1)], axis=1)

@@ -174,11 +174,13 @@ class FaceSurface(Surface):
             else:
                 nodes = _nodes(begin, end, raster.spacing_m)
                 surface, normals = _section(self.mesh, place, nodes, self.refusal)
-            tool = surface + raster.stand_off_m * normals
-            tool, normals = _extended(tool, normals, raster.overscan_m)
+            along = np.array([1.0, 0.0, 0.0]) - normals[:, :1] * normals
+            along /= np.linalg.norm(along, axis=1, keepdims=True)
+            away = raster.away(along, np.cross(normals, along), normals)
+            tool, away = _extended(surface + raster.stand_off_m * away, away, raster.overscan_m * along)
             way = 1 if k % 2 == 0 else -1
             points.append((tool @ self.axes)[::way])
-            axes.append((-normals @ self.axes)[::way])
+            axes.append((-away @ self.axes)[::way])
         return FaceRows(points=tuple(points), axes=tuple(axes))
 
     @cached_property
@@ -297,14 +299,11 @@ def _section(
     return surface, smooth / np.linalg.norm(smooth, axis=1, keepdims=True)
 
 
-def _extended(tool: FloatArray, normals: FloatArray, beyond: float) -> tuple[FloatArray, FloatArray]:
-    """A row that goes on straight at its ends, square to the normals there."""
-    if beyond == 0:
-        return tool, normals
-    ends = []
-    for k, way in ((0, -beyond), (-1, beyond)):
-        ahead = np.array([1.0, 0.0, 0.0]) - normals[k, 0] * normals[k]
-        ends.append(tool[k] + way * ahead / np.linalg.norm(ahead))
+def _extended(tool: FloatArray, away: FloatArray, beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A row that goes on straight at its ends, by vectors (K, 3) along it."""
+    if not beyond.any():
+        return tool, away
+    before, behind = tool[:1] - beyond[:1], tool[-1:] + beyond[-1:]
     if len(tool) == 2:
-        return np.array(ends), normals
-    return np.vstack([ends[:1], tool, ends[1:]]), np.vstack([normals[:1], normals, normals[-1:]])
+        return np.vstack([before, behind]), away
+    return np.vstack([before, tool, behind]), np.vstack([away[:1], away, away[-1:]])

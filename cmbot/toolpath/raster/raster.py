@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.fields import (
     Angle,
@@ -27,6 +28,7 @@ from cmbot.toolpath.raster.pieces import MOST_ROWS, RowPiece
 
 # Cosine of the angle between two edges that are at right angles.
 _RIGHT_ANGLE_COSINE = 1e-6
+_Lean = Annotated[float, Field(ge=-60, le=60)]
 _RECTANGLE, _FACES = ("origin", "u", "v"), ("mesh", "faces", "along")
 
 
@@ -113,13 +115,14 @@ class FaceSelection(CheckedFields):
 
 @dataclass(frozen=True, kw_only=True)
 class Raster(CheckedFields, ShortRepr):
-    """Parallel rows, to and fro, with the tool square to a surface.
+    """Parallel rows, to and fro, with the tool square to a surface, or leaning.
 
-    That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row over faces lie
-    half a spacing inside of their ends; rows follow smoothed normals, and what is flat to 0.1 mm is a plane.
-    From row to row the tool goes straight. Gaps in a plane up to the spacing are passed with the tool on.
-    Where rows are in several pieces, at holes, notches or places that the arm cannot reach, the raster is
-    planned as several strokes with free moves between them, one for each part whose rows follow each other.
+    That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row lie on the edges
+    of a rectangle or a cylinder, over faces half a spacing inside of their ends. There rows follow smoothed
+    normals, and what is flat to 0.1 mm is a plane. From row to row the tool goes straight. Gaps in a plane up
+    to the spacing are passed with the tool on. Where rows are in several pieces, at holes, notches or places
+    that the arm cannot reach, the raster is planned as several strokes with free moves between them, one for
+    each part whose rows follow each other.
 
     Attributes
     ----------
@@ -143,7 +146,11 @@ class Raster(CheckedFields, ShortRepr):
     spacing_m : float
         Distance of two rows at most, m: on the surface, and on faces across their mean normal.
     stand_off_m : float
-        Distance of the tool point from the surface, m.
+        Distance of the tool point from the surface, m; of a leaning tool along its axis, which meets the
+        surface on the row.
+    lean_deg : two floats or None
+        Angles from the normal to the tool behind its point, the same on all rows: along the first one, and
+        towards the next one.
     overscan_m : float
         By how much rows begin before the surface and end behind it, m; around a cylinder measured on it.
     cover : str
@@ -170,6 +177,7 @@ class Raster(CheckedFields, ShortRepr):
     along: LongVector | None = None
     spacing_m: Length
     stand_off_m: Annotated[float, Field(ge=0, le=100)]
+    lean_deg: tuple[_Lean, _Lean] | None = None
     overscan_m: Annotated[float, Field(ge=0, le=100)] = 0.0
     cover: Literal["reachable", "all"] = "reachable"
     pieces: Annotated[tuple[RowPiece, ...] | None, Field(min_length=1, max_length=MOST_ROWS)] = None
@@ -216,6 +224,17 @@ class Raster(CheckedFields, ShortRepr):
         if piece.begin_m < -_RIGHT_ANGLE_COSINE * length or piece.end_m > length * (1 + _RIGHT_ANGLE_COSINE):
             got = f"{piece.begin_m:g} to {piece.end_m:g}"
             raise InputError("Raster", f"pieces[{k}]", got, f"0 to {length:g} m, the length of a row")
+
+    def away(self, along: FloatArray, across: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return unit vectors (..., 3) against the tool's z axis.
+
+        Those along the first row, towards the next one and out of the surface are given, (..., 3) each.
+        """
+        if self.lean_deg is None:
+            return normal
+        ahead, aside = np.tan(np.radians(self.lean_deg))
+        leaning = normal + ahead * along + aside * across
+        return np.asarray(leaning / np.linalg.norm(leaning, axis=-1, keepdims=True))
 
     @property
     def mesh_file(self) -> Path | None:

@@ -123,6 +123,23 @@ def test_on_a_bent_sheet_the_tool_is_square_to_it(
     np.testing.assert_allclose(nearest, STAND_OFF, atol=2 * sagitta + 2e-4)
 
 
+def test_a_tool_that_leans_meets_faces_on_the_rows_of_a_square_one(tmp_path: Path) -> None:
+    sheet, faces = bent_sheet(0.4, 60, 0.3, 12), {"normal": [0, 0, 1], "within_deg": 40}
+    more = {"speed_m_s": 0.1}
+    for solid in (sheet, prism([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])):
+        square = stroke_of(raster_scene(tmp_path, solid, more, faces=faces, stand_off_m=0.0)).path
+        scene = raster_scene(tmp_path, solid, more, faces=faces, lean_deg=[-20, 15])
+        check_path(scene)
+        path = stroke_of(scene).path
+        ahead = path.poses(path.leg_times).rotation[:, :, 2]
+        normals = -square.poses(square.leg_times).rotation[:, :, 2]
+        meets = path.corners + STAND_OFF * ahead
+        np.testing.assert_allclose(meets, square.corners, atol=1e-9)
+        # The tangents of both angles are those of the whole one.
+        tangent = np.linalg.norm(np.cross(ahead, normals), axis=1) / -(ahead * normals).sum(axis=1)
+        np.testing.assert_allclose(tangent, np.hypot(*np.tan(np.radians([-20, 15]))), atol=1e-9)
+
+
 def test_rows_through_the_vertices_of_a_mesh_are_those_of_a_second_computation(tmp_path: Path) -> None:
     sheet = bent_sheet(0.4, 60, 0.3, 12)
     more = {"speed_m_s": 0.1, "passes": 2}
