@@ -232,6 +232,8 @@ WRONG = [
     ("start.posture_deg[2]", math.nan, "nan", "a finite number"),
     ("start.posture_deg[2]", math.inf, "inf", "a finite number"),
     ("tool_path", [], "[]", "a mapping of keys to values"),
+    ("tool_path.legs", 3, "3", "a list of mappings, with keys such as by, to, arc"),
+    ("tool_path.legs[0]", 3, "3", "a mapping of keys to values, with keys such as by, to, arc"),
     ("tool_path.keep", "axes", "'axes'", "did you mean axis?"),
     ("tool_path.keep", ["axis"], "['axis']", "a known value"),
     ("tool_path.keep", {}, "nothing", "this key is required", CONE),

@@ -21,8 +21,10 @@ from cmbot.common.representation import fields_repr
 
 T = TypeVar("T")
 
-# Letters of a part by which a choice is found.
-_LEAST_PART = 4
+# Letters of a part by which a choice is found, and what close words have in common: more than three of five.
+_LEAST_PART, _LEAST_ALIKE = 4, 0.62
+# Keys of a mapping that a message names.
+_NAMED_KEYS = 3
 _MAX_SHOWN_CHARACTERS = 60
 _PLAIN_KEY = re.compile(r"[\w.\-]{1,60}")
 _REFUSAL_TYPE = "refusal"
@@ -292,7 +294,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
     elif kind in _LENGTH_TYPES and node.get("minItems", 0) == node.get("maxItems"):
         expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
-        expected = _PHRASES[kind].format(**context)
+        expected = _PHRASES[kind].format(**context) + _form(schema, node, kind)
         if kind == "too_long" and isinstance(detail["input"], list):
             got = counted(len(detail["input"]), "item")
     else:
@@ -365,7 +367,7 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 def hint(word: object, choices: Sequence[str]) -> str:
     """Return ``; did you mean X?`` where a choice is close to `word` or has it, otherwise nothing."""
-    close = difflib.get_close_matches(str(word), choices, n=1)
+    close = difflib.get_close_matches(str(word), choices, n=1, cutoff=_LEAST_ALIKE)
     if not close and len(str(word)) >= _LEAST_PART:
         # Of those that have it, the one that begins with it.
         close = sorted((each for each in choices if str(word) in each), key=lambda each: each.find(str(word)))
@@ -400,6 +402,14 @@ def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> dict[str, An
             node = fixed[step] if step < len(fixed) else node.get("items", {})
         node = _resolved(schema, node)
     return node
+
+
+def _form(schema: dict[str, Any], node: dict[str, Any], kind: str) -> str:
+    """What a list has, and some keys of a mapping, in words; empty of other kinds of values."""
+    is_list = _PHRASES[kind] == "a list"
+    keys = list((_resolved(schema, node.get("items", {})) if is_list else node).get("properties", {}))
+    named = f", with keys such as {', '.join(keys[:_NAMED_KEYS])}"
+    return (" of mappings" if is_list else "") + named if keys else ""
 
 
 def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:

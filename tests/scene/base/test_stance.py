@@ -88,6 +88,11 @@ def test_two_feet_share_what_one_would_bear() -> None:
     [
         ({"foot_1": {**HERE, "member": "post_9"}}, r"stance.foot_1.member: got 'post_9', expected a rail or"),
         ({"foot_1": {**HERE, "face": "top"}}, r"stance.foot_1.face: got 'top', expected a face of a post"),
+        # No choice is close to it: all are named.
+        (
+            {"foot_1": {**HERE, "face": "under"}},
+            r"got 'under', expected a known value \(one of: outer, .*bottom",
+        ),
         ({"foot_1": {**HERE, "along_m": 3.0}}, r"stance.foot_1.along_m: got 3.0, expected at most the memb"),
         ({"foot_1": {**HERE, "along_m": 0.01}}, r"stance.foot_1.along_m: got 0.01, expected above clamp_m"),
         ({"foot_1": {**HERE, "turn_deg": 45.0}}, r"stance.foot_1.turn_deg: got 45.0, expected a multiple"),
