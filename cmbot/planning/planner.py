@@ -29,7 +29,13 @@ from cmbot.planning.precheck import (
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.reach import require_posture, require_postures, require_within_reach
+from cmbot.planning.reach import (
+    leaning,
+    require_posture,
+    require_postures,
+    require_within_reach,
+    upright,
+)
 from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of, with_cuts
 from cmbot.planning.result.plan import Plan, require_plan
 from cmbot.planning.stroke_order import in_least_travel
@@ -335,7 +341,7 @@ class _Planner:
 
     def refuse(self, scene: Scene, stroke: PlannedStroke) -> NoReturn:
         """Raise why a stroke of a scene is not planned, with what would do."""
-        trial, request = stroke.trial, stroke.trial.chain[0].attempt.request
+        trial, request, missed = stroke.trial, stroke.trial.chain[0].attempt.request, None
         if not (isinstance(trial.failure, NoWay) and trial.failure.is_start_near):
             # Before anything else is advised; and it says by how much a place is missed.
             missed = attempted(request, lambda: require_posture(request, is_clear=True))
@@ -343,6 +349,10 @@ class _Planner:
         error, own = error_of(trial.failure), f"this is stroke {request.stroke.name}"
         if len(request.strokes) > 1 and own not in error.hints:
             error.add_hint(own)
+        if not self.brief:
+            blocked = upright(request) if missed is None else ""
+            for hint in filter(None, (blocked, leaning(scene, request) if blocked or missed else "")):
+                error.add_hint(hint)
         if stroke.shortest is not None:
             where = "the legs of " * bool(request.stroke.file.legs) + request.stroke.key
             ramp = request.stroke.file.speed_profile.ramp

@@ -14,13 +14,15 @@ import numpy as np
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.nearest_miss import nearest_miss
-from cmbot.planning.request import StrokeRequest, build_request
+from cmbot.planning.request import StrokeRequest, build_request, in_cells, strokes_of, task_of
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
 
 # A stretched arm is not out of its own reach.
 _REACH_TOLERANCE = 1e-9
+# Leans of a raster's tool that are tried, degrees.
+_LEANS = ((0.0, 15.0), (0.0, -15.0), (15.0, 0.0), (-15.0, 0.0))
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
@@ -103,13 +105,39 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         at = request.at_stroke(number)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
-            remedy = "rows beyond it are left out" if _is_cut(stroke) else miss.remedy()
+            left_out = "rows beyond it are left out" if _is_cut(stroke) else ""
+            remedy = leaning(scene, at) or ("" if left_out else miss.remedy())
+            expected = "; ".join(filter(None, (left_out, remedy)))
             yield Finding(
                 severity="warning",
                 key=miss.key,
                 got=f"a path that is {miss.reason()}",
-                expected=": ".join(filter(None, ("a path within reach", remedy))),
+                expected=": ".join(filter(None, ("a path within reach", expected))),
             )
+
+
+def upright(request: StrokeRequest) -> str:
+    """Return what is in the way in the middle of the cone of the tool's axis; empty where nothing is."""
+    miss = None if request.task.cone is None else nearest_miss(request.on_axis, is_clear=True)
+    return "" if miss is None else f"not leaning, at {miss.where} {miss.at_best}"
+
+
+def leaning(scene: Scene, request: StrokeRequest) -> str:
+    """Return with which lean of a raster's tool every place has a posture; empty where none is found."""
+    robot, number, key = request.cell.robot, request.number, request.stroke.key
+    files = in_cells(scene, robot).strokes
+    raster, keep = files[number].raster, "" if files[number].keep == "axis" else " and keep axis"
+    if raster is None or raster.lean_deg is not None:
+        return ""
+    for lean in _LEANS:
+        file = files[number].changed(raster=replace(raster, lean_deg=lean), keep="axis")
+        other = scene.with_strokes((*files[:number], file, *files[number + 1 :]))
+        strokes = strokes_of(other, robot)
+        leant = replace(request, strokes=strokes, task=task_of(strokes[number], other))
+        if nearest_miss(leant, is_clear=True) is None:
+            angles = ", ".join(f"{angle:g}" for angle in lean)
+            return f"with {key}.raster.lean_deg [{angles}]{keep} every place has a posture"
+    return ""
 
 
 def _is_cut(stroke: Stroke) -> bool:

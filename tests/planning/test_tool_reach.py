@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from small_scenes import parts, path_through, request_of, short_scene, strokes_scene
 
 from cmbot import load_robot
-from cmbot.common.errors import PathNotFound, SceneError
+from cmbot.common.errors import PathNotFound, PlanningError, SceneError
 from cmbot.common.reading.yaml_reader import read_yaml
 from cmbot.planning import plan, precheck_scene
 from cmbot.planning.attempts import stroke
@@ -185,6 +185,46 @@ def test_a_stroke_in_an_obstacle_is_refused_before_any_is_planned() -> None:
     assert caught.value.progress < 1.0
     warning = precheck_scene(scene).warnings[-1]
     assert "crate" in warning.got and warning.key.startswith("tool_path.strokes[1]")
+
+
+def beside_a_web(keep: Any, **raster: Any) -> Scene:
+    """Two rows on the flange of a girder below the guardrail; its web is 59 mm beside the first one."""
+    rows = {"origin": [1.7, -0.335, -2.1], "u": [0.6, 0, 0], "v": [0, 0.05, 0], "spacing_m": 0.05}
+    rows |= {"stand_off_m": 0.0, "cover": "all", **raster}
+    return load_scene(
+        {
+            "format": "cmbot-scene/2",
+            "name": "flange",
+            "start": {"stow": True},
+            "tool": {"process_force_n": [0, 0, -20], "contact_mm": 60},
+            "tool_path": {"keep": keep, "raster": rows, "speed_m_s": 0.05, "via_points": "auto"},
+            "obstacles": [
+                {"name": "web", "box": [9, 0.012, 0.96], "xyz": [0, -0.4, -1.62]},
+                {"name": "flange", "box": [9, 0.3, 0.02], "xyz": [0, -0.4, -2.11], "workpiece": True},
+            ],
+        }
+    )
+
+
+def test_a_lean_is_advised_where_a_web_is_in_the_way() -> None:
+    square, advised = beside_a_web("axis"), r"tool_path\.raster\.lean_deg \[0, 15\] every place has a posture"
+    (warning,) = precheck_scene(square).warnings
+    assert re.search(r"blocked at .* comes within .* of web", warning.got)
+    assert re.search(advised, warning.expected)
+    with pytest.raises(PathNotFound, match=f"of web, .*{advised}"):
+        plan(square, progress=False)
+    assert not precheck_scene(beside_a_web("axis", lean_deg=[0, 15])).warnings
+    # To the other side the web is.
+    (warning,) = precheck_scene(beside_a_web("axis", lean_deg=[0, -15])).warnings
+    assert "blocked" in warning.got and "lean_deg" not in warning.expected
+
+
+def test_what_a_cone_leans_away_from_is_told_when_the_time_is_over() -> None:
+    scene = beside_a_web({"axis_within_deg": 15})
+    assert not precheck_scene(scene).warnings
+    why = r"was over .*; not leaning, at \(.*\) m .* of web, .*lean_deg \[0, 15\] and keep axis every place"
+    with pytest.raises(PlanningError, match=why):
+        plan(scene.with_options(time_limit_s=1e-3), progress=False)
 
 
 def test_places_are_tried_by_length_whatever_the_via_points_are() -> None:

@@ -60,17 +60,21 @@ class NearestMiss:
         stroke, edges = self.request.stroke, self.request.task.path.leg_times
         return stroke.leg_key(int(np.clip(np.searchsorted(edges, self.time) - 1, 0, len(edges) - 2)))
 
+    @property
+    def where(self) -> str:
+        """The place, in words."""
+        return f"({', '.join(f'{x:.3f}' for x in self.request.task.path.position([self.time])[0])}) m"
+
     def reason(self, *, proven: bool = False) -> str:
         """Return what is the matter there, by how much, and how many places are like it."""
         request, missed = self.request, self.missed
         keep = request.stroke.file.keep
         kept = keep if isinstance(keep, str) else "axis"
         also = f"{int((~missed.found).sum())} of {len(missed.found)} places are like it"
-        where = f"({', '.join(f'{x:.3f}' for x in request.task.path.position([self.time])[0])}) m"
         if missed.is_held:
             return (
-                f"blocked at {where}: none of {missed.attempts} attempts to hold the tool's {kept} is clear "
-                f"and strong enough, at best {self._at_best()}; {also}"
+                f"blocked at {self.where}: none of {missed.attempts} attempts to hold the tool's {kept} is "
+                f"clear and strong enough, at best {self.at_best}; {also}"
             )
         held = f"no posture within the joint ranges that holds the tool's {kept} was found in"
         held = f"{held} {missed.attempts} attempts"
@@ -80,7 +84,7 @@ class NearestMiss:
         if kept != "position":
             off += f" and {np.degrees(missed.angle):.2g} deg"
         end = f" ({missed.joint} at an end)" if missed.joint else ""
-        return f"out of reach at {where}: {held}, the nearest is {off} off{end}; {also}"
+        return f"out of reach at {self.where}: {held}, the nearest is {off} off{end}; {also}"
 
     def remedy(self) -> str:
         """Return what was tried and has a posture for every place; empty where nothing does."""
@@ -102,7 +106,8 @@ class NearestMiss:
         """Share of its bound that a joint or foot uses in the best posture, at most."""
         return float(self.request.cell.use_at_rest(self.request.cell.postures.at(self.missed.best[None]))[0])
 
-    def _at_best(self) -> str:
+    @property
+    def at_best(self) -> str:
         """What the best posture that was found lacks."""
         cell, best, use = self.request.cell, self.missed.best[None], self._use
         if use > 1.0:
