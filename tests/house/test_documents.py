@@ -379,6 +379,26 @@ def test_the_how_to_of_a_mast_leads_to_a_scene(tmp_path: Path, monkeypatch: pyte
     assert "torque on the mast there" in out
 
 
+def test_the_how_to_of_a_flange_beside_a_web_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (flange,) = (block for block in yaml_blocks(DOCS / "how_to.md") if "lean_deg" in block)
+    Path("flange.yaml").write_text(flange, encoding="utf-8")
+    square = flange.replace(", lean_deg: [0, 15]", "")
+    Path("square.yaml").write_text(square, encoding="utf-8")
+    warned = run("check", "square.yaml").out
+    assert re.search(r"link_5 comes within .* of web.*lean_deg \[0, 15\] every place has a posture", warned)
+    assert run("check", "flange.yaml").out.splitlines()[-1].startswith("No warning. ")
+    # Sooner than with its own options.
+    quick = ("knots=fixed", "compensate=false", "tool_path.speed_profile.kind=trapezoidal")
+    assert run("plan", "flange.yaml", *(word for each in quick for word in ("--set", each))).status == 0
+    plan = cmbot.load_plan("out/flange")
+    tool = Kinematics(cmbot.load_robot("cmbot"))
+    z = np.array([tool.tool_pose(q).rotation[:, 2] for q in plan.trajectory.q])
+    np.testing.assert_allclose(np.degrees(np.arctan2(-z[:, 1], -z[:, 2])), 15, atol=0.1)
+
+
 def test_every_variable_of_the_environment_that_is_read_is_listed() -> None:
     page = (DOCS / "command_line.md").read_text("utf-8")
     text = "".join(path.read_text("utf-8") for path in (ROOT / "cmbot").rglob("*.py"))

@@ -120,9 +120,8 @@ class Raster(CheckedFields, ShortRepr):
     That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row lie on the edges
     of a rectangle or a cylinder, over faces half a spacing inside of their ends. There rows follow smoothed
     normals, and what is flat to 0.1 mm is a plane. From row to row the tool goes straight. Gaps in a plane up
-    to the spacing are passed with the tool on. Where rows are in several pieces, at holes, notches or places
-    that the arm cannot reach, the raster is planned as several strokes with free moves between them, one for
-    each part whose rows follow each other.
+    to the spacing are passed with the tool on. Where rows are in several pieces, at holes, notches or where
+    the arm's reach ends, each part whose rows follow each other is a stroke, with free moves between them.
 
     Attributes
     ----------
@@ -137,7 +136,7 @@ class Raster(CheckedFields, ShortRepr):
     mesh : str or None
         In place of a rectangle or a cylinder the name of an obstacle that is a mesh, or the path of a mesh
         file (GLB, OBJ, OFF, PLY or STL), relative to the scene file. A file is placed in `frame` and is no
-        obstacle: what the arm has to keep clear of is one of `obstacles`, and then its name is enough.
+        obstacle.
     faces : FaceSelection or None
         Those of its faces that are worked on.
     along : three floats or None
