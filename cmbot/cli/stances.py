@@ -57,7 +57,9 @@ class StandCommand(Writing):
     )
     plans: int = option(3, "How many of the best stances to plan.", least=0)
     spacing: float = option(0.05, "Metres between places of foot 1.", least=0.01)
-    pair_spacing: float = option(0.15, "Metres between places of two feet.", least=0.05)
+    pair_spacing: float | None = option(
+        None, "Metres between places of two feet; 0.15, or up to 0.3 of more than 2000 stances.", least=0.05
+    )
     one_foot: bool = option(False, "Leave foot 2 free.")
     max_base_torque_nm: float | None = option(None, "Torque on the base over the job.", least=0.0)
     max_adhesion_n: float | None = option(None, "Adhesion needed over the job.", least=0.0)
@@ -257,7 +259,8 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
         group = "" if len(rankings) == 1 else f"_{number}"
         for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
             best = rank == 1 and (each.best is not None or not each.plans)
-            if best or one.bound < float("inf"):
+            judged = not each.plans or one.stage in ("obstacles", "charts", "plan")
+            if best or (judged and one.bound < float("inf")):
                 scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
                 file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"
                 contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{scene}"

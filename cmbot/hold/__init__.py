@@ -9,4 +9,5 @@ from cmbot.hold.holding import (
     Holding as Holding,
     bears as bears,
     needed_by_load as needed_by_load,
+    share_of_bounds as share_of_bounds,
 )

@@ -303,8 +303,7 @@ class Holding:
 
     def use(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the largest share (N,) of a clamp's bounds that its load uses, safety included."""
-        shares = np.abs(self.load(number, wrench)) / self.feet[number].bounds
-        return np.asarray(self.feet[number].safety * shares.max(axis=1))
+        return share_of_bounds(self.feet[number], self.load(number, wrench))
 
     def use_remainder(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         """Bound by how much that share may change, (K,): as `remainder`."""
@@ -339,6 +338,14 @@ def needed_by_load(
     modes, gradients = _modes(foot, load, above)
     which, rows = modes.argmax(axis=1), np.arange(len(load))
     return modes[rows, which], gradients[rows, which]
+
+
+def share_of_bounds(foot: Foot, load: FloatArray) -> FloatArray:
+    """Return the largest share (N,) that loads (N, 6) use of what a foot bears, safety included."""
+    share = (foot.safety * np.abs(load) / foot.bounds).max(axis=1)
+    if foot.adhesion is not None:
+        share = np.maximum(share, foot.safety * needed_by_load(foot, load)[0] / foot.adhesion)
+    return np.asarray(share)
 
 
 def bears(foot: Foot, load: FloatArray, share: float = 1.0) -> BoolArray:

@@ -104,6 +104,7 @@ from cmbot.planning.selfmotion.lower_bound import LowerBound as LowerBound
 from cmbot.planning.selfmotion.proof import TorqueFloorProof as TorqueFloorProof
 from cmbot.planning.task import ToolTask as ToolTask
 from cmbot.planning.workcell.diagnosis import (
+    FEET as FEET,
     most_often_near as most_often_near,
     weakest_joint as weakest_joint,
 )

@@ -163,14 +163,31 @@ class BaseArm:
         _, wrench, push = self._loaded(q, which, loads)
         return self._ranked(q, which, wrench, push, loads)
 
+    def use(self, q: FloatArray, stance: IntArray, loads: StanceLoads) -> FloatArray:
+        """Shares (N, n + 1) of what joints bear, and feet, at rest in postures (N, n), with the tool off."""
+        at, wrench, _ = self._loaded(q, stance, loads, 0.0)
+        joints = np.abs(self._carried(at, stance, loads)) / self.limits.torque
+        return np.column_stack([joints, loads.use(stance, wrench)])
+
     def _loaded(
-        self, q: FloatArray, stance: IntArray, loads: StanceLoads
+        self, q: FloatArray, stance: IntArray, loads: StanceLoads, share: float = 1.0
     ) -> tuple[PostureBatch, FloatArray, FloatArray]:
-        """Postures (N, n) in the base's frame, the arm's wrench (N, 6) in W, the force (N, 3) on the tool."""
+        """Postures (N, n) in the base's frame, the arm's wrench (N, 6) in W, the force (N, 3) on the tool.
+
+        With a share of that force.
+        """
         at = self.postures.at(q)
-        push = at.tool_rotation @ self._force
+        push = at.tool_rotation @ (share * self._force)
         moment = np.einsum("b,kbi->ki", at.mass, at.centre)
         return at, loads.wrench(stance, moment, self._mass, push, at.tool_point), push
+
+    @staticmethod
+    def _carried(at: PostureBatch, stance: IntArray, loads: StanceLoads) -> FloatArray:
+        """Torques (N, n) of the joints by the weight that they carry."""
+        carried = at.carried_moment.transpose(2, 0, 1)
+        return np.asarray(
+            np.einsum("kni,kni->kn", at.axis, np.cross(loads.gravity[stance][:, None], carried))
+        )
 
     def _ranked(
         self, q: FloatArray, stance: IntArray, wrench: FloatArray, push: FloatArray, loads: StanceLoads
@@ -220,8 +237,7 @@ class BaseArm:
         """What is ranked (N,) at rest in postures (N, n); infinite where they are inadmissible."""
         q, stance = self.limits.turned_to_middle(q), number[of]
         at, wrench, push = self._loaded(q, stance, loads)
-        carried = at.carried_moment.transpose(2, 0, 1)
-        torque = np.einsum("kni,kni->kn", at.axis, np.cross(loads.gravity[stance][:, None], carried))
+        torque = self._carried(at, stance, loads)
         if push.any():
             torque -= np.einsum("kij,ki->kj", at.jacobian[:, :3], push)
         good = (np.abs(torque) <= self.limits.torque).all(axis=1) & self.limits.contain(q)

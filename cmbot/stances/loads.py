@@ -12,7 +12,7 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic import SharedFrame, with_legs
 from cmbot.elastic.first_order import Bases
-from cmbot.hold import Foot, bears, needed_by_load
+from cmbot.hold import Foot, bears, needed_by_load, share_of_bounds
 from cmbot.robot import Climber, HoldingJoint, Robot, holding_rows, leg_compliance
 from cmbot.scene import Scene, axis_point, feet_at
 from cmbot.stances.bounds import Bounds, StanceObjective
@@ -141,7 +141,7 @@ class StanceLoads:
         self._point = -away if about_base else np.zeros_like(away)
         self._weights = np.array(scene.planner.axis_weights)
 
-    def bounded(self, bounds: Bounds) -> StanceLoads:
+    def within(self, bounds: Bounds) -> StanceLoads:
         """Return the same with other bounds."""
         loads = copy(self)
         loads._bounds = bounds
@@ -273,6 +273,18 @@ class StanceLoads:
         for foot, rows, load, _ in self._by_foot(of[kept], wrench[kept]) if self._bounded else ():
             good[kept[rows]] &= bears(foot, load)
         return good
+
+    @property
+    def bounded(self) -> bool:
+        """Whether something is known of what feet bear."""
+        return self._bounded
+
+    def use(self, of: IntArray, wrench: FloatArray) -> FloatArray:
+        """Largest share (N,) of what feet bear, safety included."""
+        use = np.zeros(len(of))
+        for foot, rows, load, _ in self._by_foot(of, wrench):
+            use[rows] = np.maximum(use[rows], share_of_bounds(foot, load))
+        return use
 
     @property
     def sags(self) -> bool:

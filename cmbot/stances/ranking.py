@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, InputError, PlanningError, SceneError
 from cmbot.common.reading.validation import counted, shown
 from cmbot.common.representation import ShortRepr
-from cmbot.planning import ToolTask, precheck_scene, robot_of, strokes_of, task_of
+from cmbot.planning import FEET, ToolTask, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
 from cmbot.stances.candidates import (
@@ -52,6 +53,8 @@ _MOST_SAG_MM, _LEAST_SAG_MM = 50.0, 5.0
 _NO_BETTER = PROVEN_SHARE - 1e-3
 # So many of the reasons for which stances are left out are named.
 _MAX_REASONS_NAMED = 3
+# Metres between places of two feet where that was not asked for: the first with no more stances.
+_PAIR_SPACINGS, _MOST_STANCES = (0.15, 0.2, 0.3), 2000
 _Group = frozenset[int]
 
 
@@ -128,10 +131,8 @@ class StanceRanking(ShortRepr):
             some = [
                 each.rejection for each in self.ranked if each.rejection and each.rejection.cause == cause
             ]
-            if other := some[0].would_do:
-                least = min(each.excess for each in some)
-                # Rounded up, so that it does.
-                yield f"where {cause}, {least + 0.005:.2f} times what it bears would do, or another {other}"
+            if some[0].would_do:
+                yield _remedy(min(some, key=lambda each: each.excess), self.scene)
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -176,6 +177,14 @@ class StanceRanking(ShortRepr):
     def count(self, status: str) -> int:
         """Return how many stances ended so."""
         return sum(each.status == status for each in self.ranked)
+
+
+def _remedy(why: Rejection, scene: Scene) -> str:
+    """What would take away a reason, rounded up, so that it does; of magnets their adhesion, too."""
+    times, holds = why.excess + 0.005, scene.guardrail.hold or ()
+    magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.cause.startswith(FEET) else []
+    pull = f" (magnets of {times * max(magnets) / 1e3:.1f} kN)" if magnets else ""
+    return f"where {why.cause}, {times:.2f} times what it bears{pull} would do, or another {why.would_do}"
 
 
 def stand(
@@ -249,14 +258,7 @@ class _Stand:
         if scene.on_guardrail:
             self._own = _own(scenes)
             first = [each for each in self._own if isinstance(each, Candidate)]
-            spacings = options.spacing, options.pair_spacing
-            found, any_will_do = (
-                candidates_of(scene, *spacings, options.members, first),
-                self._objective != "hold",
-            )
-            self._candidates: list[AnyCandidate] = [
-                each for each in found if any_will_do or has_flat_foot(scene, each)
-            ]
+            self._candidates: list[AnyCandidate] = [*self._listed(first)]
         else:
             self._candidates = [*mounts_of(scene)]
             self._own = {self._candidates[0]: None}
@@ -285,22 +287,40 @@ class _Stand:
             )
             raise SceneError(scene.source, "guardrail", "nothing that bends", expected)
 
+    def _listed(self, first: Sequence[Candidate]) -> list[Candidate]:
+        """The stances on a guardrail; of too many pairs of feet those of a coarser grid."""
+        options, found = self._options, list[Candidate]()
+        given = options.pair_spacing
+        for pairs in _PAIR_SPACINGS if given is None else (given,):
+            most = _MOST_STANCES if given is None and pairs != _PAIR_SPACINGS[-1] else None
+            each = candidates_of(self._scene, options.spacing, pairs, options.members, first)
+            flat = (one for one in each if self._objective != "hold" or has_flat_foot(self._scene, one))
+            found = [*islice(flat, most and most + 1)]
+            if most is None or len(found) <= most:
+                break
+        return found
+
     def ranked(self) -> tuple[StanceRanking, ...]:
         """Screen all, part the strokes, and search for the best stance of each group."""
         said = f"screening {len(self._candidates)} stances"
         limit = self._sag_limit()
         if limit is not None:
             self._bounds = replace(self._bounds, sag_mm=limit.most_mm)
-            self._screener.loads = self._screener.loads.bounded(self._bounds)
+            self._screener.loads = self._screener.loads.within(self._bounds)
         self._limit = limit
-        found = self._screener.screened(self._tasks, lambda share: self._progress(said, share))
+        self._unheld = {
+            k: why for k, why in self._screener.unheld().items() if self._candidates[k] not in self._own
+        }
+        found = self._screener.screened(
+            self._tasks, lambda share: self._progress(said, share), [*self._unheld]
+        )
         found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
         for number, each in enumerate(self._of):
             if not np.isfinite(bound[number]).any():
                 within = np.asarray(found.within_reach[each].all(axis=0))
                 tasks = [self._tasks[k] for k in each]
-                raise _unreached(self._scene, number, tasks, self._candidates, within, limit)
+                raise _unreached(self._scene, number, tasks, self._candidates, within, self._unheld, limit)
         done, excluded = dict[frozenset[int], StanceRanking](), set[frozenset[int]]()
         while groups := fewest_groups(bound, excluded):
             for number, group in enumerate(groups, start=1):
@@ -370,7 +390,9 @@ class _Stand:
             suits=self._suits,
         )
         results = [self._screened(k, found, strokes) for k in range(len(self._candidates))]
-        results = evaluate_stances(results, judge.stages(), self._options, self._ending, progress)
+        results = evaluate_stances(
+            results, judge.stages(), self._options, self._ending, progress, alone=not several
+        )
         if not scene.on_guardrail:
             times = np.array([times_of(task) for task in self._tasks])
             results = [*judge.proven(results, found, strokes, times, progress)]
@@ -387,11 +409,11 @@ class _Stand:
         """What the screening says of a candidate for some strokes."""
         candidate, within = self._candidates[k], bool(found.within_reach[strokes, k].all())
         rows = found.figures[:, strokes, k].max(axis=1)
-        rejection = None
+        rejection: Rejection | None = None
         if not within:
             why = "out of reach of the arm's links"
             rejection = Rejection(kind="out of reach", reason=why, cause=why)
-        elif not np.isfinite(rows[0]):
+        elif (rejection := self._unheld.get(k)) is None and not np.isfinite(rows[0]):
             sag = " and sag" if self._screener.loads.sags and np.isfinite(self._bounds.sag_mm) else ""
             why = f"no posture found within the bounds of joints{',' if sag else ' and'} feet{sag}"
             rejection = Rejection(kind="no posture", reason=why, cause=why)
@@ -422,6 +444,7 @@ def _unreached(
     tasks: Sequence[ToolTask],
     candidates: Sequence[AnyCandidate],
     within: BoolArray,
+    unheld: Mapping[int, Rejection],
     limit: SagLimit | None,
 ) -> PlanningError:
     """The error of a stroke that no stance reaches, with what `cmbot check` says of it in the nearest one."""
@@ -431,7 +454,10 @@ def _unreached(
     nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
     name = str(scene.strokes[number].name)
     most = "" if limit is None else f" that sags at most {limit.most_mm:.3g} mm ({limit.source})"
-    kinds = {"out of reach": (~within).sum(), f"in which no posture was found{most}": within.sum()}
+    causes = Counter(why.cause for k, why in unheld.items() if within[k])
+    rest = int(within.sum()) - causes.total()
+    kinds = {"out of reach": (~within).sum(), f"in which no posture was found{most}": rest}
+    kinds |= {f"in which {cause}": number for cause, number in causes.most_common()}
     counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
     error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
     checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None))
@@ -439,6 +465,8 @@ def _unreached(
         if warning.key.startswith("tool_path"):
             error.add_hint(f"in the nearest one, {nearest.place}, {warning.got}")
             break
+    if causes:
+        error.add_hint(_remedy(min(unheld.values(), key=lambda each: each.excess), scene))
     return error
 
 
@@ -456,10 +484,12 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             late += f": {closest}" if (closest := ranking.closest_in_time) else ""
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
             reasons = ranking.reasons_in_words
-            why = f"{';' if late else ','} most often for: {reasons}" if reasons else ""
-            error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{late}{why}")
+            # What rules them out comes first: long messages are shortened from their end.
+            why = f", most often for: {reasons}" if reasons else ""
+            error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{why}{late}")
             for remedy in ranking.remedies:
                 error.add_hint(remedy)
+            error.add_hint("cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
             raise error
 
 

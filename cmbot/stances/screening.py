@@ -18,14 +18,15 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning import ToolTask
+from cmbot.planning import FEET, ToolTask
 from cmbot.robot import Robot
-from cmbot.scene import Scene
+from cmbot.scene import STOW, Scene
 from cmbot.stances.arm import CLOSELY, FIGURES, ROUGHLY, BaseArm, Effort
 from cmbot.stances.bounds import Bounds, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
 from cmbot.stances.loads import StanceLoads
 from cmbot.stances.placed_scene import put_away
+from cmbot.stances.search import Rejection
 
 VIA_POINTS = 6
 """Of a stroke at which all stances are screened."""
@@ -121,20 +122,46 @@ class Screener:
         least = [float(np.nanmin(sag)) for sag in each if np.isfinite(sag).any()]
         return max(least, default=np.nan)
 
+    def unheld(self) -> dict[int, Rejection]:
+        """Return by numbers the candidates in which joints or feet cannot hold the arm as it is put away.
+
+        Where nothing is known of the feet that is found later, of those that are promising.
+        """
+        if not self.loads.bounded:
+            return {}
+        posture, robot = np.array(put_away(self._scene).posture), self.arm.robot
+        q, every = np.tile(posture, (len(self._bases), 1)), np.arange(len(self._bases))
+        use, names = self.arm.use(q, every, self.loads), [*robot.joints, FEET]
+        name = "stow" if STOW in robot.group_states and self._scene.return_to != "start" else "start"
+        return {
+            k: Rejection.unheld(
+                f"{names[use[k].argmax()]} cannot hold the arm in its {name} posture", float(use[k].max())
+            )
+            for k in np.flatnonzero(use.max(axis=1) > 1).tolist()
+        }
+
     def screened(
-        self, tasks: Sequence[ToolTask], report: Callable[[float], None] = lambda _: None
+        self,
+        tasks: Sequence[ToolTask],
+        report: Callable[[float], None] = lambda _: None,
+        left_out: Sequence[int] = (),
     ) -> Screening:
-        """Screen them for the tasks (S) of strokes, in W; `report` takes the share that is done."""
+        """Screen them for the tasks (S) of strokes, in W; `report` takes the share that is done.
+
+        Of the numbers that are `left_out` no postures are sought.
+        """
         shape = len(tasks), len(self._bases)
         within = np.array([_within_reach(task, self._bases, self._robot) for task in tasks]).reshape(shape)
         figures, worst = np.full((len(FIGURES), *shape), np.nan), np.zeros(shape, dtype=np.intp)
         figures[0] = np.inf
+        kept = np.ones(shape[1], dtype=np.bool_)
+        kept[list(left_out)] = False
         for s, task in enumerate(tasks):
 
             def told(share: float, done: int = s) -> None:
                 report((done + share) / len(tasks))
 
-            left = np.flatnonzero(within[s])
+            left = np.flatnonzero(within[s] & kept)
             if len(left):
                 figures[:, s, left], worst[s, left] = self._bounded(task, left, told)
         return Screening(within_reach=within, figures=figures, via_point=worst)

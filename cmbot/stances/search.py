@@ -46,6 +46,12 @@ _CHARTS_SHARE, _OWN_SHARE = 0.15, 0.5
 _MORE_TIME = 2.0
 # Share of a time limit that the screening may take; and from which on the rest is for plans.
 _SCREENING_SHARE, _PLANS_FROM_SHARE = 0.4, 0.6
+# Without a plan of the own stance: what the first one of another may take at first, s; how long is searched
+# where no time is given, s, and where all are blocked; and how near to those others come later, m.
+_FIRST_PLAN_S, _HASTENED_S, _BLOCKED_S, _NEAR_BLOCKED_M = 25.0, 60.0, 30.0, 0.1
+# Its candidates are taken in turn where these shares of the bounds are smaller: the least bounds are those of
+# folded arms near singularities, whose plans take long and fail; one that is stretched out is planned soon.
+_SHARES_BELOW = (0.9, 0.0, 0.75, 0.5)
 # Once enough are planned, only stances that may be better by more than this share are judged.
 _WORTH_SHARE = 0.05
 
@@ -64,8 +70,8 @@ class StandOptions:
         Without a bound of the sag, leave no stance out by it; else see `StanceRanking.sag_limit`.
     spacing : float, m
         Between places of foot 1 with foot 2 free.
-    pair_spacing : float, m
-        Between places of both feet; infinite: foot 2 stays free.
+    pair_spacing : float, m, or None
+        Between places of both feet; infinite: foot 2 stays free; None: 0.15 m, or more of too many stances.
     plans : int
         Number of stances that are planned in full, the best by their bounds.
     charts : int
@@ -84,7 +90,7 @@ class StandOptions:
     bounds: Bounds = NO_BOUNDS
     any_sag: bool = False
     spacing: float = 0.05
-    pair_spacing: float = 0.15
+    pair_spacing: float | None = None
     plans: int = 3
     charts: int = 40
     checks: int = 400
@@ -107,14 +113,19 @@ class Ending:
         Whether something was planned that is kept.
     screening_cut : bool
         Whether the screening was ended, so that time was left for plans.
+    hastens : bool
+        Whether the first plan is sought, as there is none of the own stance: it comes before better ones.
     """
 
     limit: float
     by: Literal["", "interrupt", "time"] = ""
     keeps: bool = False
     screening_cut: bool = False
+    hastens: bool = False
     _began: float = field(default_factory=monotonic)
     _more: float = 1.0
+    _until: float = np.inf
+    _hastened: float = 0.0
 
     def is_due(self) -> bool:
         """Whether no other stance is to be judged."""
@@ -129,10 +140,20 @@ class Ending:
 
     def is_for_plans(self) -> bool:
         """Whether the rest of the time is for plans of what was judged furthest."""
-        return monotonic() - self._began >= _PLANS_FROM_SHARE * self.limit
+        better_ones = self._until < np.inf and not self.hastens
+        return better_ones or monotonic() - self._began >= _PLANS_FROM_SHARE * self.limit
+
+    def hasten(self, most: float) -> None:
+        """Seek the first plan before better ones; with no time given, end `most` seconds after that began."""
+        if not self.hastens:
+            self.hastens, self._hastened = True, monotonic()
+        if not np.isfinite(self.limit):
+            self._until = self._hastened + most
 
     def part(self, stage: StageName, *, own: bool = False) -> float:
         """Return what a stage may take of what is left, s."""
+        if self.hastens and not own:
+            return max(min(self._more * _FIRST_PLAN_S, self.left()), _MIN_SECONDS)
         share = _OWN_SHARE if own else 1.0 if stage == "plan" else min(self._more * _CHARTS_SHARE, 1.0)
         return max(share * self.left(), _MIN_SECONDS)
 
@@ -142,7 +163,8 @@ class Ending:
 
     def left(self) -> float:
         """Return what is left of the time, s."""
-        return self.limit - (monotonic() - self._began)
+        now = monotonic()
+        return min(self.limit - (now - self._began), self._until - now)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,16 +194,19 @@ class Rejection:
     would_do: str = ""
 
     @staticmethod
+    def unheld(cause: str, use: float, kind: Status = "blocked", said: str = "") -> Rejection:
+        """Return that of an arm that cannot be put away, as that takes `use` times what something bears."""
+        reason, other = f"{said or cause}, {use:.2f} times what it bears", "start with return: start"
+        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, would_do=other)
+
+    @staticmethod
     def of(kind: Status, error: CmbotError) -> Rejection:
         """Return that by an error; where the time was over before, it says nothing of the stance."""
         match error:
             case PlanningError(stopped=True):
                 kind, cause = "not judged", "not judged: time"
             case CannotBePutAway(pair=None):
-                reason, other = f"{error}, {error.use:.2f} times what it bears", "start with return: start"
-                return Rejection(
-                    kind=kind, reason=reason, cause=error.reason, excess=error.use, would_do=other
-                )
+                return Rejection.unheld(error.reason, error.use, kind, str(error))
             case PathNotFound(pair=(link, other)):
                 cause = f"{link} and {other} too near to each other"
             case PathNotFound() if error.pace > 1:
@@ -293,6 +318,8 @@ def evaluate_stances(
     options: StandOptions,
     ending: Ending,
     progress: Progress = lambda _step, _share: None,
+    *,
+    alone: bool = False,
 ) -> list[StanceResult]:
     """Judge stances, and return them in the order in which they came.
 
@@ -309,11 +336,16 @@ def evaluate_stances(
     ending : Ending
     progress : callable
         Takes what is done and the share of it.
+    alone : bool
+        Whether they are for all strokes: then the first plan is sought first where no own stance has one.
     """
     search = _Search(list(results), stages, options, ending, progress)
     if options.plans:
         try:
             search.plan_own()
+            own = [each for each in search.results if each.own]
+            if alone and own and all(each.figures is NO_FIGURES for each in own):
+                ending.hasten(_BLOCKED_S)
             search.run()
         except KeyboardInterrupt:
             if not ending.keeps:
@@ -341,7 +373,7 @@ class _Search:
         self._waiting = [k for k, each in enumerate(results) if each.status == "screened"]
         # Those near a failure, until no others wait; and those that were not judged in the time they had.
         self._later, self._late = list[int](), list[int]()
-        self._best, self._planned, self._deep = np.inf, 0, False
+        self._best, self._planned, self._tried, self._deep = np.inf, 0, 0, False
 
     def plan_own(self) -> None:
         """Plan the scenes' own stances: no other one is better than they are unless it is planned, too."""
@@ -353,13 +385,14 @@ class _Search:
     def run(self) -> None:
         """Judge the most promising by its next stage, again and again."""
         while (self._waiting or self._later or self._late) and not self._ending.is_due():
-            self._deep = self._ending.is_for_plans()
-            if self._deep or len(self._late) >= self._wanted or not (self._waiting or self._later):
+            late = self._ending.is_for_plans()
+            self._deep = late or self._ending.hastens
+            if late or len(self._late) >= self._wanted or not (self._waiting or self._later):
                 self._ending.give_more()
                 self._waiting, self._late = self._waiting + self._late, []
             if not self._waiting:
                 self._waiting, self._later, self._failures = self._later, [], []
-            k = min(self._waiting, key=self._order)
+            k = self._following()
             self._waiting.remove(k)
             each, number = self.results[k], self._next.get(self.results[k].stage, 0)
             if each.status not in ("screened", "not judged") or each.bound >= self._enough:
@@ -375,10 +408,22 @@ class _Search:
                 last = number == len(self._stages) - 1
                 share = self._planned / self._wanted if last else self._done[number] / stage.most
                 self._progress(stage.step, min(share, 1.0))
-                self._done[number] += 1
+                if last and self._ending.hastens:
+                    self._ending.hasten(_HASTENED_S)
+                    self._tried += 1
                 self._judge(k, stage)
+                # What its time was too short for is judged again.
+                self._done[number] += self.results[k].status != "not judged" or not self._ending.hastens
                 if self.results[k].status == "screened":
                     self._waiting.append(k)
+
+    def _following(self) -> int:
+        """The number of the stance that is judged now."""
+        first = min(self._waiting, key=self._order)
+        if not self._ending.hastens or self._next.get(self.results[first].stage, 0):
+            return first
+        share = _SHARES_BELOW[self._tried % len(_SHARES_BELOW)]
+        return sorted(self._waiting, key=self._order)[int(share * len(self._waiting))]
 
     def _order(self, k: int) -> tuple[int, float, int]:
         """By what a stance comes: what is expected of it; where plans are to come, how far it was judged."""
@@ -398,12 +443,15 @@ class _Search:
         result = self.results[k] = stage.judge(replace(self.results[k], rejection=None))
         rejection = result.rejection
         if result.status == "not judged":
-            self._late += [] if result.own or stage is self._stages[-1] else [k]
+            given_up = stage is self._stages[-1] and not self._ending.hastens
+            self._late += [] if result.own or given_up else [k]
         elif result.status == "planned":
             self._ending.keeps = True
             # The scene's own is one more.
             self._planned += not result.own
             self._best = min(self._best, result.value)
+            self._ending.hastens = False
         elif rejection is not None and not result.own and rejection.kind != "beyond a bound":
             # A little further on what is bounded may be less; and only the scene's own has its start posture.
-            self._failures.append((result.candidate.base[:3, 3], _NEAR_BASE_M.get(stage.name, 0.0)))
+            blocked = _NEAR_BLOCKED_M if self._ending.hastens and stage.name == "obstacles" else 0.0
+            self._failures.append((result.candidate.base[:3, 3], _NEAR_BASE_M.get(stage.name, blocked)))

@@ -74,6 +74,36 @@ def candidates(scene: Scene) -> list[Candidate]:
     return [*candidates_of(scene, 0.9, 0.6)]
 
 
+@pytest.mark.parametrize(
+    "hold",
+    [
+        {"kind": "magnet", "adhesion_n": 6000},
+        {"kind": "clamp", "force_n": [1500] * 3, "moment_nm": [500] * 3},
+    ],
+)
+def test_stances_in_which_the_arm_cannot_be_stowed_are_left_out_first(
+    candidates: list[Candidate], hold: dict[str, Any]
+) -> None:
+    """By joints, feet and locked joints of the robot that its scene has there, one by one."""
+    scene = in_world(scene_of(guardrail={"hold": hold}))
+    flat = [each for each in candidates if has_flat_foot(scene, each)]
+    unheld = Screener(scene, robot_of(scene), flat, "torque").unheld()
+    assert 0 < len(unheld) < len(flat)
+    for k, candidate in enumerate(flat):
+        placed = scene_at(put_away(scene), candidate, None)
+        robot = robot_of(placed)
+        efforts = Dynamics(robot.tool_off).static_efforts(np.array(placed.posture)[None])
+        joints, feet = np.abs(efforts.joint_torque[0]) / robot.limits.torque, robot.holding
+        assert feet is not None
+        use = max(joints.max(), feet.share(efforts.guardrail_wrench)[0][0])
+        assert (k in unheld) == (use > 1)
+        if use > 1:
+            assert unheld[k].excess == pytest.approx(use, rel=1e-6)
+            assert unheld[k].cause.startswith(
+                "a foot" if joints.max() < use else robot.joints[joints.argmax()]
+            )
+
+
 def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates: list[Candidate]) -> None:
     two = [each for each in candidates if each.stance.foot_2 is not None]
     assert 0 < len(two) < len(candidates)

@@ -87,7 +87,7 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
     assert f"N{closest[1:]}." in said
     assert "3 stances: 2 not judged, 1 screened." in said
     with pytest.raises(
-        PlanningError, match=re.escape(f"of 3 was planned; the time was over (--time-limit): {closest}")
+        PlanningError, match=re.escape(f"not judged: time (2); the time was over (--time-limit): {closest}")
     ):
         require_planned([ranking])
 
@@ -102,3 +102,50 @@ def test_a_share_of_the_time_is_for_plans(monkeypatch: pytest.MonkeyPatch) -> No
     """Whatever the charts would take: from 60 % on, and what one chart takes then, the rest is for plans."""
     ranking, _ = searched([900.0] * 20, 100.0, monkeypatch, plans=2, plan_needs=0.85 * 40.0 / 2)
     assert [each.number for each in ranking.ranked if each.status == "planned"] == [0, 1]
+
+
+@pytest.mark.parametrize(("needs", "parts"), [(10.0, [25.0, 50.0, 40.0]), (30.0, [25.0, 25.0, 10.0])])
+def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones(
+    needs: float, parts: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None is charted before; each has little time, so that a minute is enough for several."""
+    now, had = [0.0], list[tuple[int, float]]()
+    monkeypatch.setattr("cmbot.stances.search.monotonic", lambda: now[0])
+    ending = Ending(limit=np.inf, _began=0.0)
+
+    def plan(result: StanceResult) -> StanceResult:
+        if result.own:
+            return result.rejected("plan", Rejection(kind="failed", reason="none", cause="none"))
+        part = ending.part("plan")
+        had.append((result.number, part))
+        now[0] += min(part, needs)
+        if part >= needs:
+            made: Any = SimpleNamespace()
+            return replace(result, stage="plan", plan=made, value=result.bound)
+        return result.rejected("plan", Rejection(kind="not judged", reason="time", cause="time"))
+
+    def never(result: StanceResult) -> StanceResult:
+        raise AssertionError("charted before there is a plan")
+
+    results = []
+    for number in range(4):
+        base = np.eye(4)
+        base[0, 3] = number
+        candidate: Any = SimpleNamespace(base=base, place=f"place {number}")
+        results.append(
+            StanceResult(
+                candidate=candidate, number=number, stage="postures", bound=100.0 + number, own=number == 0
+            )
+        )
+    checks = Stage(
+        name="obstacles", judge=lambda result: replace(result, stage="obstacles"), most=20, step="checking"
+    )
+    stages = (
+        checks,
+        Stage(name="charts", judge=never, most=20, step=""),
+        Stage(name="plan", judge=plan, most=8, step=""),
+    )
+    found = evaluate_stances(results, stages, StandOptions(plans=3), ending, alone=True)
+    assert had == [*zip((3, 1, 2), parts, strict=True)]
+    assert [each.status == "planned" for each in found[1:]] == [part >= needs for part in parts]
+    assert now[0] <= 60.0
