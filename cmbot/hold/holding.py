@@ -206,6 +206,15 @@ class Holding:
             peak=max(value, 0.0), mode=mode, tip=max(tip, 0.0), gap=max(gap, 0.0), time=time, foot=number + 1
         )
 
+    def magnets_asked(self, needed: AdhesionPeak) -> str:
+        """Return which magnets have the adhesion that is needed, safety included, in a phrase."""
+        foot = self.feet[needed.foot - 1]
+        asked, steel = foot.safety * needed.peak, "" if foot.steel is None else f" on {1e3 * foot.steel:g} mm"
+        more = (
+            "" if asked <= foot.ceiling else f", beyond the {foot.ceiling / 1e3:.1f} kN of two poles{steel}"
+        )
+        return f"magnets of {asked / 1e3:.1f} kN with safety {foot.safety:g}{more}"
+
     def kinds_left(self, needed: AdhesionPeak, who: str) -> str:
         """Return by which kinds of hold a foot bears what needs an adhesion, in a sentence.
 

@@ -57,6 +57,16 @@ def test_which_kinds_of_hold_are_left(kilonewtons: float, gap: Gap, steel: float
     assert holding.kinds_left(needed, "the job") == said
 
 
+@pytest.mark.parametrize(
+    ("steel", "more"), [(None, ""), (0.012, ", beyond the 2.9 kN of two poles on 12 mm")]
+)
+def test_which_magnets_a_job_asks(steel: float | None, more: str) -> None:
+    """Safety included, and of the foot that needs most, here the second one."""
+    holding = Holding([replace(FOOT, safety=3.0), replace(FOOT, steel=steel)], np.zeros(6))
+    needed = AdhesionPeak(peak=3.01e3, mode="tip", tip=1e3, gap=3.6e3, time=0.0, foot=2)
+    assert holding.magnets_asked(needed) == f"magnets of 6.0 kN with safety 2{more}"
+
+
 def test_without_a_gap_more_is_needed() -> None:
     """What a peak says of `gap: none` is what feet need that may open none."""
     loads = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * [600, 600, 400, 90, 90, 60]

@@ -128,6 +128,7 @@ def _holds(plan: Plan) -> Iterator[Note]:
         foot = holding.feet[needed.foot - 1]
         values |= {"needed_kn": needed.peak / 1e3, "mode": needed.mode, "has_kn": None, "foot": needed.foot}
         more = foot.gap == "allowed" and needed.closed > (1 + SAME) * needed.peak
+        values["asked"] = holding.magnets_asked(needed)
         values["closed_kn"] = needed.closed / 1e3 if more else None
         values["pressure_mpa"] = needed.peak / (1e6 * foot.contact.area) if foot.contact else 0.0
         if foot.adhesion is not None:

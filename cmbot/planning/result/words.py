@@ -133,9 +133,8 @@ def _needed(note: Any) -> str:
     beyond = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else ""
     same = note.closed_kn is None or round(note.closed_kn, 2) == round(note.needed_kn, 2)
     closed = "" if same else f" ({note.closed_kn:.2f} kN with gap: none)"
-    return (
-        f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {note.pressure_mpa:.2f} MPa{beyond}{closed}"
-    )
+    pressure = f"{note.pressure_mpa:.2f} MPa{beyond}{closed}"
+    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {pressure}: {note.asked}"
 
 
 def _holds(note: Any) -> str:
