@@ -259,7 +259,7 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
         group = "" if len(rankings) == 1 else f"_{number}"
         for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
             best = rank == 1 and (each.best is not None or not each.plans)
-            judged = not each.plans or one.stage in ("obstacles", "charts", "plan")
+            judged = not each.plans or one.stage in cmbot.stances.CHARTED
             if best or (judged and one.bound < float("inf")):
                 scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
                 file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"

@@ -34,6 +34,7 @@ from cmbot.stances.ranking import (
 )
 from cmbot.stances.screening import Screener as Screener
 from cmbot.stances.search import (
+    CHARTED as CHARTED,
     STATUSES as STATUSES,
     Rejection as Rejection,
     StanceResult as StanceResult,

@@ -34,6 +34,7 @@ from cmbot.stances.charting import bounded_quickly
 from cmbot.stances.placed_scene import joined, put_away, scene_at, with_strokes
 from cmbot.stances.screening import Screener, Screening, times_of
 from cmbot.stances.search import (
+    CHARTED,
     Ending,
     Progress,
     Rejection,
@@ -121,8 +122,12 @@ class StanceRanking(ShortRepr):
 
     @property
     def reasons_in_words(self) -> str:
-        """The same; empty where there are none."""
-        return ", ".join(f"{cause} ({number})" for cause, number in self.reasons)
+        """The same, and what is the most frequent one of those judged with obstacles; empty without any."""
+        late = [each for each in self.ranked if each.stage in CHARTED and each.rejection is not None]
+        causes = Counter(each.rejection.cause for each in late if each.rejection is not None)
+        first = [part for part in causes.most_common(1) if part not in self.reasons]
+        said = ", ".join(f"{cause} ({number})" for cause, number in self.reasons)
+        return said + "".join(f"; of {len(late)} with obstacles {cause} ({n})" for cause, n in first)
 
     @property
     def remedies(self) -> Iterator[str]:

@@ -30,6 +30,8 @@ from cmbot.stances.charting import CannotBePutAway
 
 StageName = Literal["reach", "postures", "clearance", "obstacles", "charts", "plan"]
 """By what a stance is judged, the cheapest first."""
+CHARTED: tuple[StageName, ...] = ("obstacles", "charts", "plan")
+"""Those that know of obstacles, and of the arm being put away."""
 Status = Literal[
     "planned", "not judged", "screened", "failed", "beyond a bound", "blocked", "no posture", "out of reach"
 ]

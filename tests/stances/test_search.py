@@ -149,3 +149,20 @@ def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones
     assert had == [*zip((3, 1, 2), parts, strict=True)]
     assert [each.status == "planned" for each in found[1:]] == [part >= needs for part in parts]
     assert now[0] <= 60.0
+
+
+def test_what_rules_out_those_judged_with_obstacles_is_told_beside_what_rules_out_more() -> None:
+    def rejected(stage: Any, cause: str) -> StanceResult:
+        candidate: Any = SimpleNamespace(place="", base=np.eye(4))
+        one = StanceResult(candidate=candidate, stage="postures", bound=np.inf)
+        return one.rejected(stage, Rejection(kind="blocked", reason=cause, cause=cause))
+
+    many = [rejected("postures", cause) for cause in ("one", "two", "three") for _ in range(3)]
+    scene: Any = None
+    ranking = StanceRanking(
+        scene=scene, ranked=(*many, rejected("obstacles", "web"), rejected("charts", "web"))
+    )
+    assert ranking.reasons_in_words == "one (3), two (3), three (3); of 2 with obstacles web (2)"
+    with pytest.raises(PlanningError, match=r"of 11 was planned, most often for: one .* web \(2\)"):
+        require_planned([ranking])
+    assert replace(ranking, ranked=tuple(many)).reasons_in_words == "one (3), two (3), three (3)"
