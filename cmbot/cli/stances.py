@@ -207,6 +207,7 @@ def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None
         if len(rankings) == 1 and one.closest_in_time and next(iter(one.waiting)).bound:
             error.add_hint(f"cmbot plan {one_line(directory / 'stance_1.yaml')} judges the first")
         error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
+        error.add_hint("cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
         raise
 
 
@@ -259,7 +260,7 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
         group = "" if len(rankings) == 1 else f"_{number}"
         for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
             best = rank == 1 and (each.best is not None or not each.plans)
-            judged = not each.plans or one.stage in cmbot.stances.CHARTED
+            judged = rank == 1 or not each.plans or one.stage in cmbot.stances.CHARTED
             if best or (judged and one.bound < float("inf")):
                 scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
                 file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"

@@ -130,6 +130,12 @@ class StanceRanking(ShortRepr):
         return said + "".join(f"; of {len(late)} with obstacles {cause} ({n})" for cause, n in first)
 
     @property
+    def is_ruled_out(self) -> bool:
+        """Whether all that were judged with obstacles, if any were, are blocked; but for the own stance."""
+        late = [each.status for each in self.ranked if each.stage in CHARTED and not each.own]
+        return {*late} == {"blocked"}
+
+    @property
     def remedies(self) -> Iterator[str]:
         """What would take away some of these reasons, a sentence each without its full stop."""
         for cause, _ in self.reasons:
@@ -489,12 +495,13 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             late += f": {closest}" if (closest := ranking.closest_in_time) else ""
             strokes = f" for {', '.join(ranking.strokes)}" if len(rankings) > 1 else ""
             reasons = ranking.reasons_in_words
-            # What rules them out comes first: long messages are shortened from their end.
-            why = f", most often for: {reasons}" if reasons else ""
-            error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{why}{late}")
+            first = not late or ranking.is_ruled_out
+            why = f"{',' if first else ';'} most often for: {reasons}" if reasons else ""
+            # Long messages are shortened from their end.
+            told = f"{why}{late}" if first else f"{late}{why}"
+            error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{told}")
             for remedy in ranking.remedies:
                 error.add_hint(remedy)
-            error.add_hint("cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
             raise error
 
 
