@@ -95,7 +95,9 @@ def test_what_is_said(held: Plan) -> None:
     assert re.search(r"safety 2 included, uses \d+ % .* and have 14.90 kN, with 20 % less it holds; ", text)
     each = [segment.figures.adhesion_needed for segment in held.job.segments]
     closed = max(max(needed.gap, needed.peak) for needed in each)
-    assert f"({closed / 1e3:.2f} kN with gap: none) and have" in text
+    assert f"({closed / 1e3:.2f} kN with gap: none): magnets of " in text
+    asked = 2 * held.job.figures.adhesion_needed.peak / 1e3
+    assert f" of {asked:.1f} kN with safety 2, beyond the 1.9 kN of two poles on 8 mm, and have" in text
     (card,) = (card for card in headlines(held, None) if card.title == "Holds")
     assert f"(a gap may open; {closed / 1e3:.2f} kN without safety where none may)" in card.detail
     stop = held.emergency_stop

@@ -146,7 +146,7 @@ def _holds(note: Any) -> str:
             "without safety": "it holds without the safety factor",
             "not": "it does not hold",
         }
-        text += f"; the feet need {_needed(note)} and have {note.has_kn:.2f} kN"
+        text += f"; the feet need {_needed(note)}, and have {note.has_kn:.2f} kN"
         text += f", with {100 * note.lost:.0f} % less {with_less[note.less]}"
     return text + ("." if note.stop_kn is None else f"; an emergency stop needs {note.stop_kn:.2f} kN.")
 
