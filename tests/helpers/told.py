@@ -141,6 +141,9 @@ def of_named(plan: Plan, text: str) -> Known:
     for foot in plan.robot.feet if text.startswith("Hold:") else ():
         yield 20.0, "%"  # with so much less adhesion
         yield from ((share * (foot.adhesion or 0.0) / 1e3, "kN") for share in (1.0, 0.8))
+        needed = (each.figures.adhesion_needed for each in plan.job.segments)
+        yield foot.safety * max((each.peak for each in needed if each is not None), default=0.0) / 1e3, "kN"
+        yield from ((foot.ceiling / 1e3, "kN"), (1e3 * (foot.steel or 0.0), "mm"))
 
 
 def texts(plan: Plan) -> Iterator[str]:

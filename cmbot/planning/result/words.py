@@ -130,11 +130,11 @@ def _tool(note: Any) -> str:
 
 
 def _needed(note: Any) -> str:
-    beyond = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else ""
+    # What no magnet has is not told by its size.
+    after = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else f": {note.asked}"
     same = note.closed_kn is None or round(note.closed_kn, 2) == round(note.needed_kn, 2)
     closed = "" if same else f" ({note.closed_kn:.2f} kN with gap: none)"
-    pressure = f"{note.pressure_mpa:.2f} MPa{beyond}{closed}"
-    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {pressure}: {note.asked}"
+    return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {note.pressure_mpa:.2f} MPa{closed}{after}"
 
 
 def _holds(note: Any) -> str:
