@@ -89,8 +89,8 @@ class Clearances:
     ----------
     robot : Robot
     obstacles : sequence of Obstacle
-        Placed in W. A mesh counts as the convex hulls of its connected parts: its clearance is never
-        overestimated.
+        Placed in W. A mesh counts as the convex hulls of its connected parts, a part that is a sheet as
+        those of its patches: its clearance is never overestimated.
 
     Attributes
     ----------

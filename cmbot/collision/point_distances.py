@@ -42,9 +42,9 @@ class PointDistances:
         self._pairs = [pair for pair in both if len({self._shapes[k][0] for k in pair}) > 1]
         tool_joint = int(robot.model.frames[robot.tool_frame_id].parentJoint)
         for obstacle in obstacles:
-            for geometry, X_OS in coal_shapes(obstacle.shape, obstacle.name):
+            for geometry in coal_shapes(obstacle.shape, obstacle.name):
                 number = len(self._shapes)
-                self._shapes.append((0, pin.SE3(np.array(obstacle.X_WO)) * X_OS, geometry))
+                self._shapes.append((0, pin.SE3(np.array(obstacle.X_WO)), geometry))
                 links.append(obstacle.name)
                 for k in moving:
                     if obstacle.contact and self._shapes[k][0] == tool_joint:

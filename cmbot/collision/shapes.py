@@ -12,18 +12,26 @@ from typing import TYPE_CHECKING, Any
 import coal
 import numpy as np
 import pinocchio as pin
+from scipy.spatial import ConvexHull, KDTree
 
 from cmbot.collision.mesh_file import load_mesh
 from cmbot.collision.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.robot import Robot, convex_hull, encloses_volume
+from cmbot.robot import Robot, convex_hull, encloses_volume, solid_points
 
 if TYPE_CHECKING:
     import trimesh
 
 # Meshes whose hulls are kept.
 _CACHED_HULLS = 8
+# How far hulls of a sheet's patches may be from it, as a share of its size, and how many there are at most.
+_SHEET_TOLERANCE_SHARE, _MOST_PATCHES = 0.01, 160
+# That distance is sought at points of a hull's longest facets, so many steps along their edges, among the
+# nearest faces.
+_MOST_FACETS, _FACET_STEPS, _NEAREST_FACES = 60, 4, 24
+# Cosine of 80 degrees: the angle by which faces of a sheet may be turned from their mean.
+_MIN_SHEET_COSINE = 0.17365
 # Of meshes about round shapes.
 _SECTIONS = 24
 
@@ -103,10 +111,10 @@ class PairedShapes:
         tool_joint = frames[robot.tool_frame_id].parentJoint
         behind = dict[tuple[int, float], int | None]()
         for obstacle in obstacles:
-            for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
-                X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
+            X_WO = pin.SE3(np.array(obstacle.X_WO))
+            for k, shape in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
                 name = f"obstacle {obstacle.name} {k}"
-                second = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, X_WS, shape))
+                second = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, X_WO, shape))
                 joints.append(0)
                 for first, link in enumerate(links):
                     if joints[first] > 0:
@@ -177,25 +185,24 @@ def _mesh_about(geometry: Any) -> Any:
     return creation.capsule(long, radius, count=[_SECTIONS, _SECTIONS]).convex_hull
 
 
-def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
-    """Return the convex coal shapes that cover `shape`, with their poses in its frame.
+def coal_shapes(shape: Shape, name: str) -> Sequence[Any]:
+    """Return the convex coal shapes that cover `shape`, in its frame.
 
-    A mesh becomes the convex hull of each of its connected parts, which need a volume; `name` is the
-    obstacle's, for messages.
+    A mesh becomes the convex hull of each of its connected parts, which need a volume. A part that is a sheet
+    becomes the hulls of patches of its faces: bends and holes that are larger than 1 % of its size stay
+    open. `name` is the obstacle's, for messages.
     """
     match shape:
         case Box(size=size):
-            geometry = coal.Box(*size)
+            return [coal.Box(*size)]
         case Cylinder(radius=radius, length=length):
-            geometry = coal.Cylinder(radius, length)
+            return [coal.Cylinder(radius, length)]
         case Capsule(radius=radius, length=length):
-            geometry = coal.Capsule(radius, length)
+            return [coal.Capsule(radius, length)]
         case Sphere(radius=radius):
-            geometry = coal.Sphere(radius)
+            return [coal.Sphere(radius)]
         case Mesh(path=path, scale=scale):
-            hulls = _hulls(load_mesh(path, name, scale=scale), path, name)
-            return [(hull, pin.SE3.Identity()) for hull in hulls]
-    return [(geometry, pin.SE3.Identity())]
+            return _hulls(load_mesh(path, name, scale=scale), path, name)
 
 
 def touched_by(box: Box, X_WB: FloatArray, obstacles: Sequence[Obstacle]) -> str | None:
@@ -210,10 +217,8 @@ def touched_by(box: Box, X_WB: FloatArray, obstacles: Sequence[Obstacle]) -> str
     """
     own, place = coal.Box(*box.size), coal.Transform3s(X_WB[:3, :3], X_WB[:3, 3])
     for obstacle in obstacles:
-        X_WO = pin.SE3(np.array(obstacle.X_WO))
-        for shape, X_OS in coal_shapes(obstacle.shape, obstacle.name):
-            X_WS = X_WO * X_OS
-            there = coal.Transform3s(X_WS.rotation, X_WS.translation)
+        there = coal.Transform3s(obstacle.X_WO[:3, :3], obstacle.X_WO[:3, 3])
+        for shape in coal_shapes(obstacle.shape, obstacle.name):
             if coal.collide(own, place, shape, there, coal.CollisionRequest(), coal.CollisionResult()):
                 return obstacle.name
     return None
@@ -227,23 +232,65 @@ def extent_of(obstacle: Obstacle) -> FloatArray:
     obstacle : Obstacle
     """
     corners = list[FloatArray]()
-    for shape, X_OS in coal_shapes(obstacle.shape, obstacle.name):
+    for shape in coal_shapes(obstacle.shape, obstacle.name):
         shape.computeLocalAABB()
-        ends = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
-        X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
-        corners += [X_WS.act(np.array(corner)) for corner in product(*ends.T)]
-    return np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
+        corners += map(np.array, product(*zip(shape.aabb_local.min_, shape.aabb_local.max_, strict=True)))
+    placed = np.array(corners) @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3]
+    return np.array([placed.min(axis=0), placed.max(axis=0)])
 
 
 @lru_cache(maxsize=_CACHED_HULLS)
 def _hulls(mesh: trimesh.Trimesh, path: Path, name: str) -> tuple[Any, ...]:
-    """Convex hulls of the connected parts of a mesh, which clearances of every stroke and page ask for."""
-    return tuple(_hull(part, path, name) for part in mesh.split(only_watertight=False))
+    """Convex hulls about a mesh, which clearances of every stroke and page ask for."""
+    found = list[Any]()
+    for part in mesh.split(only_watertight=False):
+        vertices = np.asarray(part.vertices)
+        if not encloses_volume(vertices):
+            got = f"a connected part without volume near {np.round(vertices.mean(axis=0), 3).tolist()}"
+            raise SceneError(str(path), f"obstacles[{name}].mesh", got, "parts with three dimensions each")
+        found += _patches(part) if _is_sheet(part) else [vertices]
+    return tuple(convex_hull(points) for points in found)
 
 
-def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:
-    vertices = np.asarray(part.vertices)
-    if not encloses_volume(vertices):
-        got = f"a connected part without volume near {np.round(vertices.mean(axis=0), 3).tolist()}"
-        raise SceneError(str(path), f"obstacles[{name}].mesh", got, "parts with three dimensions each")
-    return convex_hull(vertices)
+def _is_sheet(part: trimesh.Trimesh) -> bool:
+    """Whether a part has no inside: all of it is seen from one side."""
+    mean = np.asarray(part.area_faces @ part.face_normals) / part.area
+    least = _MIN_SHEET_COSINE * max(float(np.linalg.norm(mean)), _MIN_SHEET_COSINE)
+    return bool((part.face_normals @ mean >= least).all())
+
+
+def _patches(sheet: trimesh.Trimesh) -> list[FloatArray]:
+    """Corners of a sheet's faces in patches, each with a volume; halved until their hulls are near it."""
+    corners = np.asarray(sheet.triangles)
+    middles = KDTree(corners.mean(axis=1))
+    tolerance = _SHEET_TOLERANCE_SHARE * float(np.linalg.norm(sheet.extents))
+    waiting, done = [np.arange(len(corners))], list[FloatArray]()
+    while waiting:
+        patch = waiting.pop(0)
+        points = solid_points(np.unique(corners[patch].reshape(-1, 3), axis=0))
+        is_last = len(patch) == 1 or len(done) + len(waiting) >= _MOST_PATCHES
+        if is_last or _hull_distance(points, corners, middles) <= tolerance:
+            done.append(points)
+        else:
+            # Across where it is longest; triangles with the same middle are shared out.
+            offset = middles.data[patch] - middles.data[patch].mean(axis=0)
+            place = offset @ np.linalg.svd(offset, full_matrices=False)[2][0]
+            first = place < 0.5 * (place.min() + place.max())
+            first = first if first.any() else np.arange(len(patch)) % 2 == 0
+            waiting += [patch[first], patch[~first]]
+    return done
+
+
+def _hull_distance(points: FloatArray, corners: FloatArray, middles: KDTree) -> float:
+    """How far the hull of points (M, 3) is from triangles (N, 3, 3) with these middles, m, as sampled."""
+    from trimesh.triangles import closest_point
+
+    facets = points[ConvexHull(points).simplices]
+    longest = np.linalg.norm(np.diff(facets, axis=1, append=facets[:, :1]), axis=2).max(axis=1).argsort()
+    steps = range(_FACET_STEPS + 1)
+    shares = [(a, b, _FACET_STEPS - a - b) for a in steps for b in steps if a + b <= _FACET_STEPS]
+    sampled = (np.array(shares) / _FACET_STEPS @ facets[longest[-_MOST_FACETS:]]).reshape(-1, 3)
+    near = middles.query(sampled, min(_NEAREST_FACES, len(corners)))[1].reshape(len(sampled), -1)
+    sampled = np.repeat(sampled, near.shape[1], axis=0)
+    nearest = closest_point(corners[near].reshape(-1, 3, 3), sampled)  # type: ignore[no-untyped-call]
+    return float(np.linalg.norm(nearest - sampled, axis=1).reshape(near.shape).min(axis=1).max())

@@ -7,7 +7,11 @@ from cmbot.robot.climber import (
 )
 from cmbot.robot.description.completion import AttachedTool as AttachedTool, ToolShape as ToolShape
 from cmbot.robot.description.files import RobotFiles as RobotFiles, robot_files as robot_files
-from cmbot.robot.description.hulls import convex_hull as convex_hull, encloses_volume as encloses_volume
+from cmbot.robot.description.hulls import (
+    convex_hull as convex_hull,
+    encloses_volume as encloses_volume,
+    solid_points as solid_points,
+)
 from cmbot.robot.description.mesh_file import (
     faces_of as faces_of,
     is_mesh as is_mesh,

@@ -18,7 +18,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.robot.description.frames import require_independent
-from cmbot.robot.description.hulls import convex_hull, encloses_volume, thickened
+from cmbot.robot.description.hulls import convex_hull, encloses_volume, solid_points
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
     is_mesh,
@@ -172,7 +172,7 @@ def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Pa
             vertices = vertices_of(shape.geometry)
             if not encloses_volume(vertices) and len(vertices):
                 flat.append(model.frames[shape.parentFrame].name)
-                vertices = thickened(vertices)
+                vertices = solid_points(vertices)
             if not encloses_volume(vertices):
                 expected = "a mesh that encloses a volume"
                 raise ModelError(str(urdf), shape.name, f"the mesh {shape.meshPath}", expected)

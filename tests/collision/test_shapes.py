@@ -11,6 +11,7 @@ import trimesh
 from distance_tables import all_distances
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of
+from raster_scenes import wavy_sheet
 from robot_files import FLAT, pose as pose_of, write_flat_obj
 from state_samples import StateSamples
 
@@ -124,7 +125,7 @@ def test_a_mesh_is_read_once_and_anew_when_its_file_changes(tmp_path: Path) -> N
     assert load_mesh(tmp_path / "a" / "box.stl") is meshes["c"]
     # Neither are its hulls made again.
     hulls = [coal_shapes(Mesh(path=tmp_path / "b" / "box.stl"), "thing") for _ in range(2)]
-    assert hulls[0][0][0] is hulls[1][0][0]
+    assert hulls[0][0] is hulls[1][0]
 
 
 def clearances_with(robot: Robot, file: Path) -> Clearances:
@@ -257,3 +258,57 @@ def test_a_mesh_in_millimetres_that_a_box_touches(tmp_path: Path) -> None:
     box = Box(size=(0.2, 0.4, 0.1))
     assert touched_by(box, touching, [ball, placed]) == "o"
     assert touched_by(box, apart, [ball, placed]) is None
+
+
+def test_a_sheet_counts_as_it_is_within_one_per_cent_of_its_size(
+    cmbot_robot: Robot, random_states: StateSamples, tmp_path: Path
+) -> None:
+    """Distances of a capsule from all triangles one by one; of its hull they are far off."""
+    sheet = wavy_sheet()
+    file = saved(sheet, tmp_path / "sheet.ply")
+    clearances = Clearances(cmbot_robot, [Obstacle(name="sheet", shape=file, X_WO=X_WO)])
+    own = [k for k, pair in enumerate(clearances.pairs) if (pair.link, pair.other) == ("tool", "sheet")]
+    size = np.linalg.norm(np.ptp(sheet.vertices, axis=0))
+    assert 10 < len(own) < 160
+    corners = sheet.triangles @ X_WO[:3, :3].T + X_WO[:3, 3]
+    for q_k in random_states(cmbot_robot, 6)[0]:
+        start, end, radius = capsule_of(cmbot_robot, q_k, "tool")
+        line = start + np.linspace(0, 1, 400)[:, None] * (end - start)
+        apart = min(
+            np.linalg.norm(
+                trimesh.triangles.closest_point(corners, np.tile(p, (len(corners), 1))) - p, axis=1
+            ).min()
+            for p in line
+        )
+        got = min(clearances.nearest(q_k, pair).distance for pair in own)
+        step = np.linalg.norm(end - start) / 800
+        assert apart - radius - 0.01 * size - step <= got <= apart - radius + 1e-6
+
+
+def test_hulls_of_a_sheet_have_all_of_it_and_leave_its_hole_open(tmp_path: Path) -> None:
+    sheet, rng = wavy_sheet(), np.random.default_rng(3)
+    obstacle = [Obstacle(name="sheet", shape=saved(sheet, tmp_path / "sheet.ply"), X_WO=X_WO)]
+
+    def touched(points: FloatArray, size: float) -> list[bool]:
+        box = Box(size=(size, size, size))
+        return [touched_by(box, X_WO @ pose(p, [0, 0, 0]), obstacle) == "sheet" for p in points]
+
+    weights = rng.dirichlet(np.ones(3), size=300)
+    chosen = sheet.triangles[rng.integers(len(sheet.faces), size=300)]
+    assert all(touched(np.einsum("nk,nkd->nd", weights, chosen), 1e-5))
+    # A rod of 50 mm goes through the hole, and a box into the bottom of a wave.
+    assert not any(touched(np.array([[0, 0, z] for z in (-0.03, 0.0, 0.03)]), 0.035))
+    bottom = np.array([-np.pi / 24, 0.0, -0.02])
+    assert touched(bottom[None], 0.02) == [True]
+    assert touched(bottom[None] + [0, 0, 0.02], 0.01) == [False]
+
+
+def test_a_sheet_of_flat_patches_counts_as_these(tmp_path: Path) -> None:
+    """Each gets a thickness of 1 mm; of its hull an angle would fill the inside."""
+    points = [[0, 0, 0], [0.3, 0, 0.3], [0.3, 0.5, 0.3], [0, 0.5, 0], [-0.3, 0, 0.3], [-0.3, 0.5, 0.3]]
+    angle = trimesh.Trimesh(points, [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]])
+    obstacle = [Obstacle(name="angle", shape=saved(angle, tmp_path / "angle.stl"), X_WO=np.eye(4))]
+    small = Box(size=(0.01, 0.01, 0.01))
+    for height, name in ((0.0, "angle"), (0.03, None), (0.2, None), (-0.02, None)):
+        assert touched_by(small, pose([0, 0.2, height], [0, 0, 0]), obstacle) == name
+    assert touched_by(small, pose([0.15, 0.2, 0.15], [0, 0, 0]), obstacle) == "angle"

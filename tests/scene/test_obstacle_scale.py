@@ -62,7 +62,7 @@ def test_a_mesh_in_millimetres_is_everywhere_the_one_in_metres(tmp_path: Path) -
     # As an own reading of the files has them.
     (one,), (two,) = (mesh_parts(each.shape.path, each.shape.scale) for each in (mine, theirs))
     np.testing.assert_allclose(one, two, atol=1e-6)
-    (hull,) = (geometry.points() for geometry, _ in coal_shapes(mine.shape, mine.name))
+    (hull,) = (geometry.points() for geometry in coal_shapes(mine.shape, mine.name))
     np.testing.assert_allclose(np.ptp(hull, axis=0), np.ptp(one, axis=0), atol=1e-6)
 
 

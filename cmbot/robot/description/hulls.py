@@ -37,12 +37,14 @@ def convex_hull(points: FloatArray) -> coal.ConvexBase:
     return coal.Convex.convexHull(vertices, False, "Qt")
 
 
-def thickened(points: FloatArray) -> FloatArray:
-    """Return finite `points` (N, 3) that enclose no volume, moved by half a millimetre to either side.
+def solid_points(points: FloatArray) -> FloatArray:
+    """Return finite points (M, 3) whose hull has a volume and all `points` (N, 3).
 
-    They are moved across the plane, the line or the point in which they lie, so that their hull has all of
-    them and a volume (M, 3).
+    Those that enclose none are moved by half a millimetre to either side, across the plane, the line or the
+    point in which they lie.
     """
+    if encloses_volume(points):
+        return points
     middle = points.mean(axis=0)
     _, extents, axes = np.linalg.svd(np.vstack([points - middle, np.zeros((3, 3))]), full_matrices=False)
     for axis, extent in zip(axes, extents, strict=True):
@@ -108,6 +110,5 @@ def _solids(scene: Any) -> Iterator[Any]:
             points = np.asarray(shape.vertices)
             if not (len(points) and np.isfinite(points).all()):
                 continue
-            points = points if encloses_volume(points) else thickened(points)
-            shape = trimesh.convex.convex_hull(points)
+            shape = trimesh.convex.convex_hull(solid_points(points))
         yield trimesh.Trimesh(shape.vertices, shape.faces).apply_transform(X)
