@@ -29,7 +29,7 @@ from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_f
 from cmbot.planning.workcell.workcell import bending_arm, rigid_parts_remark, robot_of, stiffness_point
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
-from cmbot.toolpath import ToolPath
+from cmbot.toolpath import FaceSurface, ToolPath
 from cmbot.trajectory import SUPPORT
 
 MOST_UNKNOWNS = 3000
@@ -274,15 +274,15 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
             f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {_seconds(path)}, "
             f"keeps the tool's {stroke.file.keep}",
         )
-    meshes = {
-        stroke.file.part_of or stroke.name: stroke.file.raster.mesh
-        for stroke in strokes
-        if stroke.file.raster is not None
-    }
+    surfaces = {stroke.file.part_of or stroke.name: stroke.surface for stroke in strokes}
     for name, covers in coverage_of(strokes).items():
-        if (mesh := meshes[name]) is not None:
+        if isinstance(surface := surfaces[name], FaceSurface):
             left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
-            yield f"faces of {Path(mesh).name}", f"{covers.area:.4g} m2, left out of them {left_out}"
+            said, asked = f"{covers.area:.4g} m2, left out of them {left_out}", surface.raster
+            if asked.faces is None or asked.along is None:
+                along, _, out = (np.round(axis, 3).tolist() for axis in surface.axes)
+                said += f"; found in W: normal {out}, rows along {along}"
+            yield f"faces of {Path(str(asked.mesh)).name}", said
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 

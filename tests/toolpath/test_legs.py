@@ -404,7 +404,7 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
         (
             {"raster": {"spacing_m": 0.1, "stand_off_m": 0}, "speed_m_s": 0.1},
             "tool_path.raster",
-            "or cylinder, or mesh, faces and along",
+            "or cylinder, or mesh",
         ),
         (
             {"raster": {**RASTER, "v": None}, "speed_m_s": 0.1},

@@ -36,7 +36,7 @@ def surface_of(
         return None
     key = f"{place.key}.raster"
     X_WF = place.frame(raster.frame, key, X_WT)
-    if raster.faces is None:
+    if raster.mesh is None:
         return PlainSurface(raster)
     meshes = {
         obstacle.name: (obstacle.shape, obstacle.X_WO)
@@ -54,4 +54,4 @@ def surface_of(
 
     named = "" if mesh_file is None else f"{key}.mesh"
     mesh = load_mesh(shape.path, str(raster.mesh), key=named, scale=shape.scale)
-    return FaceSurface.of(raster, raster.faces, mesh, X_WM, X_WF, refusal)
+    return FaceSurface.of(raster, mesh, X_WM, X_WF, refusal)

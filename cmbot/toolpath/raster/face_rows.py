@@ -30,6 +30,8 @@ _WHOLE, _NO_LENGTH, _NO_AREA = 1e-6, 1e-9, 1e-12
 _FACE_TOLERANCE = 1e-9
 # Cosine of 80 degrees: the angle by which faces may be turned from their mean.
 _MIN_FACE_COSINE = 0.17365
+# Share by which the sides of a square differ.
+_SQUARE_TOLERANCE = 0.01
 
 _Refusal = Callable[[str, str, str], SceneError]
 
@@ -60,7 +62,6 @@ class FaceSurface(Surface):
     @staticmethod
     def of(
         raster: Raster,
-        faces: FaceSelection,
         mesh: trimesh.Trimesh,
         X_WM: FloatArray,
         X_WF: FloatArray,
@@ -71,8 +72,6 @@ class FaceSurface(Surface):
         Parameters
         ----------
         raster : Raster
-        faces : FaceSelection
-            The raster's.
         mesh : Trimesh
         X_WM, X_WF : (4, 4)
             Poses in W of the mesh and of the raster's frame.
@@ -86,13 +85,13 @@ class FaceSurface(Surface):
             When shapely is not installed.
         """
         shapely = _shapely()
-        chosen = _chosen(faces, mesh, X_WM, X_WF, refusal)
+        chosen = _chosen(raster.faces, mesh, X_WM, X_WF, refusal)
         out = (chosen.area_faces[:, None] * chosen.face_normals).sum(axis=0)
-        out /= np.linalg.norm(out)
+        out /= max(np.linalg.norm(out), _NO_AREA)
         if (chosen.face_normals @ out).min() < _MIN_FACE_COSINE:
             got, expected = "faces that are steep to each other", "faces within 80 degrees of their mean"
             raise refusal("faces", got, expected)
-        along = X_WF[:3, :3] @ np.array(raster.along)
+        along = _longest(chosen, out, X_WF) if raster.along is None else X_WF[:3, :3] @ np.array(raster.along)
         along = along - (along @ out) * out
         if np.linalg.norm(along) < _WHOLE:
             raise refusal("along", "the direction of the faces' normal", "a direction across it")
@@ -230,32 +229,53 @@ def _shapely() -> Any:
 
 
 def _chosen(
-    faces: FaceSelection, mesh: trimesh.Trimesh, X_WM: FloatArray, X_WF: FloatArray, refusal: _Refusal
+    faces: FaceSelection | None, mesh: trimesh.Trimesh, X_WM: FloatArray, X_WF: FloatArray, refusal: _Refusal
 ) -> trimesh.Trimesh:
     """The chosen faces as a mesh in W."""
     import trimesh
 
     placed = trimesh.Trimesh(mesh.vertices @ X_WM[:3, :3].T + X_WM[:3, 3], mesh.faces, process=False)
-    normal = X_WF[:3, :3] @ (np.array(faces.normal) / np.linalg.norm(faces.normal))
     corners = placed.triangles
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sizes = np.linalg.norm(across, axis=1)
-    cosines = across @ normal / np.maximum(sizes, 2 * _NO_AREA)
     inside = sizes > 2 * _NO_AREA
-    if faces.box is not None:
+    if faces is None:
+        normal, least = np.zeros(3), 0.0
+    else:
+        normal = X_WF[:3, :3] @ (np.array(faces.normal) / np.linalg.norm(faces.normal))
+        least = np.cos(np.radians(faces.within_deg))
+    cosines = across @ normal / np.maximum(sizes, 2 * _NO_AREA)
+    if faces is not None and faces.box is not None:
         local = (corners - X_WF[:3, 3]) @ X_WF[:3, :3]
         lower, upper = np.array(faces.box)
         inside &= ((local >= lower - _NO_LENGTH) & (local <= upper + _NO_LENGTH)).all(axis=(1, 2))
-    found = inside & (cosines >= np.cos(np.radians(faces.within_deg)) - _FACE_TOLERANCE)
+    found = inside & (cosines >= least - _FACE_TOLERANCE)
     if not found.any():
-        least = np.degrees(np.arccos(np.clip(cosines[inside].max(initial=-1.0), -1, 1)))
+        away = np.degrees(np.arccos(np.clip(cosines[inside].max(initial=-1.0), -1, 1)))
         got = f"no face of {counted(len(corners), 'face')}"
         if inside.any():
-            got += f", the nearest is {least:.3g} degrees away"
+            got += f", the nearest is {away:.3g} degrees away"
         raise refusal("faces", got, "faces that are within_deg of normal and inside of the box")
     chosen = trimesh.Trimesh(placed.vertices, placed.faces[found], process=False)
     chosen.remove_unreferenced_vertices()
     return chosen
+
+
+def _longest(chosen: trimesh.Trimesh, out: FloatArray, X_WF: FloatArray) -> FloatArray:
+    """The longer side in W of the least rectangle about faces in W, seen along their normal (3,).
+
+    Of a square it is the side that is nearer to an axis of the frame across the normal.
+    """
+    from trimesh.bounds import oriented_bounds_2D
+
+    first = X_WF[:3, int(np.abs(out @ X_WF[:3, :3]).argmax() == 0)]
+    x = first - (first @ out) * out
+    plane = np.stack([x, np.cross(out, x)]) / np.linalg.norm(x)
+    turned, lengths = oriented_bounds_2D(chosen.vertices @ plane.T)  # type: ignore[no-untyped-call]
+    sides = np.asarray(turned)[:2, :2]
+    is_square = abs(lengths[0] - lengths[1]) <= _SQUARE_TOLERANCE * max(lengths)
+    side = sides[np.abs(sides[:, 0]).argmax() if is_square else np.argmax(lengths)]
+    return np.asarray((-side if side[0] < 0 else side) @ plane)
 
 
 def _nodes(begin: float, end: float, spacing: float) -> FloatArray:

@@ -131,17 +131,16 @@ class Raster(CheckedFields, ShortRepr):
         Its edges from there, m, in `frame`, at right angles: rows run along `u`, the next one lies along `v`.
         The tool's z axis points against ``u x v``.
     cylinder : CylinderPatch or None
-        In place of a rectangle part of a cylinder, worked on from outside: the tool's z axis points at the
-        cylinder's.
+        Part of a cylinder, worked on from outside: the tool's z axis points at the cylinder's.
     mesh : str or None
-        In place of a rectangle or a cylinder the name of an obstacle that is a mesh, or the path of a mesh
-        file (GLB, OBJ, OFF, PLY or STL), relative to the scene file. A file is placed in `frame` and is no
-        obstacle.
+        The name of an obstacle that is a mesh, or the path of a mesh file (GLB, OBJ, OFF, PLY or STL),
+        relative to the scene file, placed in `frame`; a file is no obstacle.
     faces : FaceSelection or None
-        Those of its faces that are worked on.
+        Those of its faces that are worked on. Left out: all, within 80 degrees of their mean normal.
     along : three floats or None
         Direction in `frame` of the first row over them; the next one lies towards ``normal x along``. Of a
-        curved row points at most half a spacing apart, and at least 5, are on a spline.
+        curved row points at most half a spacing apart, and at least 5, are on a spline. Left out: the faces'
+        longer side.
     spacing_m : float
         Distance of two rows at most, m: on the surface, and on faces across their mean normal.
     stand_off_m : float
@@ -190,10 +189,10 @@ class Raster(CheckedFields, ShortRepr):
         ]
         if len(kinds) != 1:
             got = " and ".join(name for _, given in kinds for name in given) or "none"
-            expected = "either origin, u and v, or cylinder, or mesh, faces and along"
+            expected = "either origin, u and v, or cylinder, or mesh"
             raise InputError("Raster", "", got, expected)
         ((names, given),) = kinds
-        for name in names:
+        for name in names[:1] if names == _FACES else names:
             if name not in given:
                 raise InputError("Raster", name, "nothing", "a value beside " + " and ".join(given))
         if self.rectangle is not None:
@@ -212,7 +211,7 @@ class Raster(CheckedFields, ShortRepr):
             if k > 0 and self.pieces and piece.row == self.pieces[k - 1].row:
                 expected = "another row than that of the piece before"
                 raise InputError("Raster", f"pieces[{k}].row", piece.row, expected)
-            if self.faces is None:
+            if self.mesh is None:
                 self.check_piece(k, piece, self.rows, self.sides[0])
 
     @staticmethod

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from hypothesis import HealthCheck, given, settings, strategies as st
-from raster_scenes import HOLE, OVERSCAN, RASTER, STAND_OFF, prism, raster_scene
+from raster_scenes import HOLE, OVERSCAN, RASTER, STAND_OFF, prism, raster_scene, wavy_sheet
 from scipy.spatial.transform import Rotation
 from timed_paths import check_path, vectors
 
@@ -263,3 +263,34 @@ def test_a_mesh_file_in_the_frame_is_as_the_obstacle_there(tmp_path: Path) -> No
         SceneError, match=r"tool_path.raster.mesh: got 'part.stl', expected a file that exists"
     ):
         load_scene(tmp_path / "scene.yaml")
+
+
+def test_normal_and_direction_are_those_of_the_sheet(tmp_path: Path) -> None:
+    turned = trimesh.transformations.euler_matrix(0.3, -0.2, 1.9)
+    sheet = wavy_sheet().apply_transform(turned)
+    lean = {"overscan_m": 0.0, "stand_off_m": 0.04}
+    scene = raster_scene(tmp_path, sheet, faces=None, along=None, **lean)
+    strokes = scene.in_cells(np.eye(4)).timed_strokes(np.eye(4))
+    # The file has single precision.
+    assert strokes[0].surface.area == pytest.approx(sheet.area, rel=1e-7)
+    along, _, out = strokes[0].surface.axes @ scene.frame_poses["bracket"][:3, :3]
+    assert np.abs(along @ turned[:3, 0]) == pytest.approx(1.0, abs=2e-3)
+    assert out @ turned[:3, 2] == pytest.approx(1.0, abs=2e-3)
+    assert "found in W: normal [" in dict(precheck_scene(scene).found)["faces of part"]
+    # They do for what was left out.
+    faces = {"normal": out.tolist(), "within_deg": 80}
+    other = raster_scene(tmp_path, sheet, faces=faces, along=along.tolist(), **lean)
+    for one, same in zip(strokes, other.in_cells(np.eye(4)).timed_strokes(np.eye(4)), strict=True):
+        np.testing.assert_allclose(one.path.corners, same.path.corners, atol=1e-6)
+    # By the mesh itself: a facet turns by some degrees from the next one.
+    at = in_frame(scene, np.concatenate([stroke.path.corners for stroke in strokes]))
+    every = np.repeat(sheet.triangles, len(at), axis=0)
+    nearest = trimesh.triangles.closest_point(every, np.tile(at, (len(sheet.faces), 1)))
+    away = np.linalg.norm(nearest.reshape(-1, *at.shape) - at, axis=2).min(axis=0)
+    np.testing.assert_allclose(away, 0.04, atol=1e-3)
+
+
+def test_a_solid_has_no_normal_of_its_own(tmp_path: Path) -> None:
+    scene = raster_scene(tmp_path, HOLE, faces=None)
+    with pytest.raises(SceneError, match=r"raster.faces: got faces that are steep to each other"):
+        scene.timed_strokes(np.eye(4))
