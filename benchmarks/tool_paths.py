@@ -3,6 +3,7 @@
     python benchmarks/tool_paths.py FOLDER                # all problems of FOLDER/problems
     python benchmarks/tool_paths.py FOLDER square circle  # those with these words in their names
     python benchmarks/tool_paths.py FOLDER iklink         # IKLink's path, in as few parts as can be
+    python benchmarks/tool_paths.py FILE sheet 0.04       # rows over a mesh in a file, in units of 0.04 m
 
 FOLDER has paths as CSV files, problems as YAML files, and the URDF of the Fetch arm, as its README says. Each
 problem is planned with 0.1 mm and 0.1 deg at the poses, at rest in corners and turns in place. What was
@@ -10,6 +11,9 @@ planned is judged by a forward kinematics of this file: at the poses given, and 
 
 No arm follows the path of IKLink whole. Its parts are counted beside those of a search in a graph of many
 postures at each pose, which knows joint ranges alone and is greedy, as nothing better is needed.
+
+A sheet is rastered by a Panda in front of it, and is its obstacle. The tool's distance is that of the nearest
+of all triangles.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
@@ -45,6 +50,8 @@ _LAG = 1e-4
 # Where the Fetch's torso is in the frame of its base, m.
 _TORSO = np.array([-0.086875, 0.0, 0.37743])
 _ROBOTS = {"fetch_arm": ("base_link", "gripper_link"), "panda": ("panda_link0", "panda_hand")}
+# Of the tool from a sheet, m.
+_STAND_OFF = 0.05
 # Of the search for parts: postures at a pose, steps to a pose, and how far a joint moves between poses, rad.
 _POSTURES, _STEPS, _LARGEST_STEP = 200, 12, 0.3
 # Times at which a motion is judged, a second; the headings of tables.
@@ -312,12 +319,63 @@ def iklink(folder: Path) -> str:
     )
 
 
+def sheet(file: Path, unit: float) -> str:
+    """Plan rows over all of a mesh, and say how far the tool is from it."""
+    base, tool = "panda_link0", "panda_hand_tcp"
+    corner = np.array([0.35, -0.21, 0.25])
+    data = {
+        "format": "cmbot-scene/2",
+        "name": "sheet",
+        "robot": {"model": "panda", "base_frame": base, "tool_frame": tool},
+        "guardrail": {"bays": 0},
+        "start": {"posture": [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.78]},
+        "tool_path": {
+            "keep": "axis",
+            "raster": {"mesh": "sheet", "spacing_m": 0.05, "stand_off_m": _STAND_OFF},
+            "speed_m_s": 0.05,
+            "via_points": "auto",
+        },
+        "obstacles": [
+            {"name": "sheet", "mesh": str(file), "scale": unit, "xyz": corner.tolist(), "workpiece": True}
+        ],
+        "planner": {"objective": "travel", "time_limit_s": 600},
+    }
+    started = time.process_time()
+    plan = cmbot.plan(cmbot.load_scene(data), progress=False)
+    used, away, rows = time.process_time() - started, list[FloatArray](), 0
+    mesh = trimesh.load_mesh(file)
+    corners = unit * np.asarray(mesh.triangles) + corner
+    for part in plan.job.strokes:
+        times = part.task.path.leg_times
+        # Between two rows the tool goes straight.
+        for begin, end in zip(times[:-1:2], times[1::2], strict=True):
+            q = part.trajectory.evaluate(np.arange(begin, end, 0.05))
+            points = tool_poses(urdf_of("panda", file), base, tool, q)[0]
+            away += [_from_triangles(point, corners) for point in points]
+            rows += 1
+    parts = len(plan.job.strokes)
+    return (
+        f"{file.name}: {rows} rows in {parts} parts, {plan.job.duration:.1f} s long, certified: "
+        f"{plan.certificate.holds}, planned in {used:.1f} s; the tool is {1e3 * min(away):.1f} to "
+        f"{1e3 * max(away):.1f} mm from the triangles, asked were {1e3 * _STAND_OFF:g}."
+    )
+
+
+def _from_triangles(point: FloatArray, corners: FloatArray) -> float:
+    """Distance of a point (3,) from triangles (N, 3, 3)."""
+    nearest = trimesh.triangles.closest_point(corners, np.tile(point, (len(corners), 1)))
+    return float(np.linalg.norm(nearest - point, axis=1).min())
+
+
 def main(words: Sequence[str]) -> int:
     """Plan the problems of a folder, print the table, and return 0 where all are planned exactly enough."""
     if not words:
         print(__doc__)
         return 2
     folder, console = Path(words[0]), Console(width=170)
+    if words[1:2] == ["sheet"]:
+        console.print(sheet(folder, float(words[2])))
+        return 0
     if words[1:] == ["iklink"]:
         console.print(iklink(folder))
         return 0
