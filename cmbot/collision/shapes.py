@@ -267,14 +267,14 @@ def _patches(sheet: trimesh.Trimesh) -> list[FloatArray]:
     waiting, done = [np.arange(len(corners))], list[FloatArray]()
     while waiting:
         patch = waiting.pop(0)
-        points = solid_points(np.unique(corners[patch].reshape(-1, 3), axis=0))
+        points = solid_points(np.asarray(sheet.vertices)[np.unique(sheet.faces[patch])])
         is_last = len(patch) == 1 or len(done) + len(waiting) >= _MOST_PATCHES
         if is_last or _hull_distance(points, corners, middles) <= tolerance:
             done.append(points)
         else:
             # Across where it is longest; triangles with the same middle are shared out.
             offset = middles.data[patch] - middles.data[patch].mean(axis=0)
-            place = offset @ np.linalg.svd(offset, full_matrices=False)[2][0]
+            place = offset @ np.linalg.eigh(offset.T @ offset)[1][:, -1]
             first = place < 0.5 * (place.min() + place.max())
             first = first if first.any() else np.arange(len(patch)) % 2 == 0
             waiting += [patch[first], patch[~first]]
