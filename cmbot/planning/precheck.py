@@ -280,7 +280,7 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
             left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
             said, asked = f"{covers.area:.4g} m2, left out of them {left_out}", surface.raster
             if asked.faces is None or asked.along is None:
-                along, _, out = (np.round(axis, 3).tolist() for axis in surface.axes)
+                along, _, out = ((np.round(axis, 3) + 0.0).tolist() for axis in surface.axes)
                 said += f"; found in W: normal {out}, rows along {along}"
             yield f"faces of {Path(str(asked.mesh)).name}", said
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
