@@ -18,7 +18,7 @@ from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.request import build_request
 from cmbot.planning.timing.quiet_laws import quiet_laws
-from cmbot.planning.timing.timing import is_coarse
+from cmbot.planning.timing.timing import is_coarse, with_enough_via_points
 from cmbot.toolpath import LegLaw
 
 SOFT = (2e4, 2e4, 1e5, 4e3, 4e3, 4e3)
@@ -71,8 +71,8 @@ def test_quiet_strokes_have_as_many_via_points_as_their_law_needs() -> None:
     assert number - 1 == pytest.approx(4 * frequency * 3.0, abs=1.5)
     # On a stiffer mast a leg has more periods, and the most are taken; on a stiff one what is asked for.
     for stiffness, expected in ((50.0, 100), (400.0, 8)):
-        made = planned(1.2, stiffness=stiffness, via_points=8, knots="sliding")
-        assert len(made.trajectory.t) == expected
+        scene = load_scene(mast(1.2, stiffness=stiffness, via_points=8, knots="sliding"))
+        assert len(with_enough_via_points(build_request(scene, scene.planner, None)).times) == expected
 
 
 def test_where_via_points_are_few_the_laws_of_each_leg_are_those_that_sway_least_as_simulated() -> None:
