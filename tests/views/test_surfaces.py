@@ -1,5 +1,6 @@
 """What is drawn, as triangles: solids against closed forms, normals smooth on them and sharp at edges."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -181,6 +182,24 @@ def test_a_robot_is_drawn_whole(name: str) -> None:
     assert sum(len(surface.faces) for surface in drawn) <= 24_000
     for surface, original in zip(drawn, originals, strict=True):
         require_whole(surface, original, 0.05)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_a_mesh_of_several_materials_is_drawn_as_it_is(tmp_path: Path, unit: float) -> None:
+    """A block of one colour, and a ball of another beside it, in one object of a file."""
+    parts, lines, first = (box(SIZE), ball(0.1).moved(pin.SE3(np.eye(3), SIZE).homogeneous)), ["o arm"], 1
+    for number, part in enumerate(parts):
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in part.vertices.tolist()] + [f"usemtl colour_{number}"]
+        lines += [f"f {a} {b} {c}" for a, b, c in (part.faces + first).tolist()]
+        first += len(part.vertices)
+    (tmp_path / "two.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    mesh = f'<mesh filename="{tmp_path}/two.obj" scale="{unit} {unit} {unit}"/>'
+    link = f'<link name="l"><visual><geometry>{mesh}</geometry></visual></link>'
+    (urdf := tmp_path / "two.urdf").write_text(f'<robot name="r">{link}</robot>', encoding="utf-8")
+    shapes = pin.buildGeomFromUrdf(pin.buildModelFromUrdf(str(urdf)), str(urdf), pin.GeometryType.VISUAL)
+    drawn = visual_surface(shapes.geometryObjects[0], "r")
+    assert drawn.area == pytest.approx(unit**2 * sum(part.area for part in parts), rel=1e-6)
+    assert solid(drawn).volume == pytest.approx(unit**3 * sum(solid(part).volume for part in parts), rel=1e-6)
 
 
 @given(

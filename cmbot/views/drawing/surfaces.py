@@ -6,9 +6,12 @@ trimesh has solids and normals too, but its import takes longer than writing a p
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import coal
@@ -73,7 +76,7 @@ def visual_surface(shape: Any, source: str) -> Surface:
     geometry = shape.geometry
     match geometry:
         case _ if is_mesh(geometry):
-            surface = Surface(vertices_of(geometry), faces_of(geometry))
+            surface = _whole(Surface(vertices_of(geometry), faces_of(geometry)), shape)
         case coal.ConvexBase():
             surface = hull(np.array([geometry.point(i) for i in range(geometry.num_points)]))
         case coal.Box():
@@ -270,6 +273,27 @@ def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
     np.add.at(sums, corner, weighted.reshape(-1, 3))
     normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), _ROUNDED_LENGTH)
     return Surface(surface.vertices[where], corner.reshape(-1, 3).astype(np.intp)), normals
+
+
+def _whole(surface: Surface, shape: Any) -> Surface:
+    """Return the surface of a mesh file as trimesh reads it, where coal leaves out vertices.
+
+    coal 3.0 counts the corners of a second mesh of a node, such as one of another material, from those of the
+    first. Where the two do not read the same box, in other units, coal's surface is kept.
+    """
+    if len(np.unique(surface.faces)) == len(surface.vertices):
+        return surface
+    # Only for files of several meshes.
+    import trimesh
+
+    path, scale = Path(shape.meshPath), np.asarray(shape.meshScale)
+    with suppress(Exception):  # what its readers raise has no common type
+        mesh: Any = trimesh.load_mesh(BytesIO(path.read_bytes()), file_type=path.suffix[1:].lower())
+        again = Surface(scale * np.array(mesh.vertices), np.array(mesh.faces, dtype=np.intp))
+        ends = [(each.vertices.min(axis=0), each.vertices.max(axis=0)) for each in (surface, again)]
+        if np.allclose(*ends, rtol=0.0, atol=_MISSING_SIDE_SHARE * again.size):
+            return again
+    return surface
 
 
 def _revolved(radii: ArrayLike, heights: ArrayLike, sections: int) -> Surface:
