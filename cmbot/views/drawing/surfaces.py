@@ -290,8 +290,8 @@ def _whole(surface: Surface, shape: Any) -> Surface:
     with suppress(Exception):  # what its readers raise has no common type
         mesh: Any = trimesh.load_mesh(BytesIO(path.read_bytes()), file_type=path.suffix[1:].lower())
         again = Surface(scale * np.array(mesh.vertices), np.array(mesh.faces, dtype=np.intp))
-        ends = [(each.vertices.min(axis=0), each.vertices.max(axis=0)) for each in (surface, again)]
-        if np.allclose(*ends, rtol=0.0, atol=_MISSING_SIDE_SHARE * again.size):
+        ends, others = ([x.vertices.min(axis=0), x.vertices.max(axis=0)] for x in (surface, again))
+        if np.allclose(ends, others, rtol=0.0, atol=_MISSING_SIDE_SHARE * again.size):
             return again
     return surface
 

@@ -202,7 +202,7 @@ class Chart {
     const { start, legTimes, workStart, workEnd, end } = this.timeline, [low, high] = this.axis;
     const across = { x: this.x(start), width: this.x(end) - this.x(start) };
     const band = (name, from, to) => make("rect", { class: name, ...across, y: this.y(to), height: Math.max(this.y(from) - this.y(to), 0) }, inside);
-    const free = [["approach", start, workStart], ...this.timeline.moves, ["return", workEnd, this.timeline.return ? end : workEnd]].filter(([, from, to]) => from < to);
+    const free = [["approach", start, workStart], ...this.timeline.moves, [this.timeline.return ? "return" : "after the stop", workEnd, end]].filter(([, from, to]) => from < to);
     for (const [, from, to] of free) make("rect", { class: "free-move", x: this.x(from), y: 0, width: this.x(to) - this.x(from), height: this.height }, inside);
     const [lower, upper] = this.spec.bounds;
     if (lower !== null && lower > low) band("beyond", low, Math.min(lower, high));
