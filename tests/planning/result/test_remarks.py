@@ -269,7 +269,7 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     first = f"Free moves take {free:.0f} of {total:.0f} s: the longest, the approach, is bounded by the "
     angles = ", ".join(f"{round(angle, 4)}" for angle in np.degrees(triangle_plan.start.posture))
     entry = f"start: {{posture_deg: [{angles}]}}"
-    start = f"; {entry} needs no approach, and --set start=pinned begins in the scene's posture"
+    start = f"; {entry} needs hardly any approach, and --set start=pinned begins in the scene's posture"
     assert said(changed(begun, "approach", trajectory=slow)) == [f"{first}velocity of joint_4{start}."]
     checks = tuple(
         replace(check, value=0.5 * check.bound) if check.limit is Limit.VELOCITY else check
@@ -283,7 +283,7 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     ends = replace(end.robot.limits, upper=np.append(end.robot.limits.upper[:-1], np.radians(169.98496)))
     at_end = replace(end.start, posture=np.append(end.start.posture[:-1], np.radians(169.98496)))
     (told,) = said(replace(end, robot=replace(end.robot, limits=ends), start=at_end))
-    assert ", 169.9849]} needs no approach" in told
+    assert ", 169.9849]} needs hardly any approach" in told
     # From where the work begins there is none to be spared.
     there = replace(triangle_plan.start, moved=0.0)
     slow_there = replace(changed(begun, "approach", trajectory=slow), start=there)
