@@ -206,7 +206,9 @@ def _promise(note: Any) -> str:
         factor, unit = 1e3, "mm"
     if not unit.startswith("of "):
         distance = f"{factor * abs(check.bound - check.value):.3g} {unit}"
-        room = f" ({distance} left)" if check.holds else f" ({distance} beyond it)"
+        key = f"robot.range_margin_{'m' if check.unit == 'm' else 'deg'}"
+        more = f"; {key} keeps more" if check.limit is Limit.POSITION else ""
+        room = f" ({distance} left{more})" if check.holds else f" ({distance} beyond it)"
     return f"Tightest promise: {promised(check, f'{when}, at {check.time:.1f} s')}{room}."
 
 
