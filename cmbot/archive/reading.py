@@ -52,7 +52,7 @@ from cmbot.planning import (
     measure,
     objective_metrics,
     objective_of,
-    require_tool_speed,
+    require_sound_path,
     resolved_options,
     robot_of,
     sag_of,
@@ -241,7 +241,7 @@ class _Parts:
         self._require_hash("scene", self.scene.content_hash, what)
         self._strokes = strokes_of(self.scene, robot)
         for stroke in self._strokes:
-            require_tool_speed(self.scene, stroke)
+            require_sound_path(self.scene, stroke)
         self._tasks = [task_of(stroke, self.scene) for stroke in self._strokes]
 
     def _require_hash(self, name: str, got: str, what: str) -> None:

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.fields import Length
 from cmbot.common.reading.validation import CheckedFields, require_type, shown
@@ -137,6 +137,22 @@ class Obstacle(ShortRepr):
         if not (sized and np.isfinite(X).all()):
             got = shown(X.tolist() if isinstance(X, np.ndarray) else X)
             raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Return which points (N, 3), m, in W lie in it, (N,); none is said to lie in a mesh."""
+        local = (points - self.X_WO[:3, 3]) @ self.X_WO[:3, :3]
+        aside, above = np.hypot(local[:, 0], local[:, 1]), np.abs(local[:, 2])
+        match self.shape:
+            case Box(size=size):
+                return np.asarray((np.abs(local) < 0.5 * np.array(size)).all(axis=1))
+            case Cylinder(radius=radius, length=length):
+                return np.asarray((aside < radius) & (above < 0.5 * length))
+            case Capsule(radius=radius, length=length):
+                return np.asarray(np.hypot(aside, np.maximum(above - 0.5 * length, 0.0)) < radius)
+            case Sphere(radius=radius):
+                return np.asarray(np.hypot(aside, above) < radius)
+            case Mesh():
+                return np.zeros(len(points), dtype=np.bool_)
 
 
 def _require_scale(scale: object, kind: str) -> None:

@@ -46,7 +46,7 @@ from cmbot.planning.postures.projection import project_onto_task as project_onto
 from cmbot.planning.precheck import (
     precheck_options as precheck_options,
     precheck_scene as precheck_scene,
-    require_tool_speed as require_tool_speed,
+    require_sound_path as require_sound_path,
 )
 from cmbot.planning.progress import Progress as Progress, ProgressReporter as ProgressReporter
 from cmbot.planning.request import (

@@ -25,7 +25,7 @@ from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
     require_seconds,
-    require_tool_speed,
+    require_sound_path,
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
@@ -407,7 +407,7 @@ class _Planner:
         request = replace(request, proves=not self.brief)
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
-            require_tool_speed(scene, stroke)
+            require_sound_path(scene, stroke)
             try:
                 at_stroke = request.at_stroke(number)
                 require_within_reach(at_stroke)

@@ -46,6 +46,8 @@ _LOADS = (
     *("N along the plate", "N across the plate", "N off the steel"),
     *("Nm about the length", "Nm about the width", "Nm about the normal"),
 )
+# How much of a tool's tip may be in a workpiece that it may touch; at how many of its places that is judged.
+_MOST_PRESSED_M, _TIP_PLACES = 0.01, 121
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
@@ -94,7 +96,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     warnings = [*_warnings(start), *_out_of_reach(strokes, robot), *_too_strong(scene, robot)]
     warnings += [*without_posture(scene), *_blocked_feet(scene)]
     for stroke in strokes:
-        warnings += [*_too_fast(scene.tool, stroke), *_too_short(stroke, robot)]
+        warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke), *_too_short(stroke, robot)]
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += precheck_options(scene.planner, scene.tool)
     at = "a place of this lift or rail before the arm; 0 m is assumed"
@@ -350,9 +352,9 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         raise
 
 
-def require_tool_speed(scene: Scene, stroke: Stroke) -> None:
-    """Refuse a stroke on which the tool has to be faster than the scene allows: a `SceneError`."""
-    for found in _too_fast(scene.tool, stroke):
+def require_sound_path(scene: Scene, stroke: Stroke) -> None:
+    """Refuse a stroke on which the tool is faster than allowed, or deep in a workpiece: a `SceneError`."""
+    for found in (*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)):
         raise SceneError(scene.source, found.key, found.got, found.expected)
 
 
@@ -396,6 +398,23 @@ def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
             f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
             f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
         )
+
+
+def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
+    """Yield the workpieces that the tip may touch, and a path holds it in: nothing else keeps it out."""
+    times, ends = stroke.via_times, stroke.path.leg_times
+    tip, ahead = stroke.path.position(times), stroke.path.rotation(times)[..., 2]
+    for obstacle in (each for each in scene.all_obstacles if each.contact):
+        back = np.linspace(0.0, obstacle.contact, _TIP_PLACES)
+        places = tip[:, None] - back[:, None] * np.broadcast_to(ahead, tip.shape)[:, None]
+        inside = obstacle.contains(places.reshape(-1, 3)).reshape(len(tip), -1).mean(axis=1)
+        k = int(inside.argmax())
+        if (length := obstacle.contact * inside[k]) > _MOST_PRESSED_M:
+            leg = int(np.clip(np.searchsorted(ends, times[k]) - 1, 0, len(ends) - 2))
+            where = ", ".join(f"{x:.3f}" for x in tip[k])
+            got = f"{1e3 * length:.0f} mm of the tip in {obstacle.name}, the tool point at ({where}) m"
+            expected = f"at most {1e3 * _MOST_PRESSED_M:g} mm, by which a tool is pressed"
+            yield Finding(severity="error", key=stroke.leg_key(leg), got=got, expected=expected)
 
 
 def _speeds(path: ToolPath) -> FloatArray:

@@ -9,14 +9,17 @@ from typing import Any
 
 import coal
 import numpy as np
+import pinocchio as pin
 import pytest
+from hypothesis import assume, given, strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
 
 from cmbot.archive import Asked, load_plan, save, verified_motions
-from cmbot.collision import Box, Clearances, Obstacle, PointDistances
-from cmbot.collision.shapes import without_tip
-from cmbot.common.errors import ArchiveError, PathNotFound
-from cmbot.planning import certify_move, plan, robot_of
+from cmbot.collision import Box, Capsule, Clearances, Cylinder, Obstacle, PointDistances, Sphere
+from cmbot.collision.shapes import coal_shapes, without_tip
+from cmbot.common.errors import ArchiveError, PathNotFound, SceneError
+from cmbot.planning import certify_move, plan, precheck_scene, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory import SplineSpace
@@ -123,7 +126,41 @@ def test_only_a_tool_that_may_touch_is_planned_on_a_board(tmp_path: Path) -> Non
 
 def test_the_tip_goes_no_deeper_than_what_it_exceeds_the_margin_by() -> None:
     with pytest.raises(PathNotFound, match=r"board \(tool.contact_mm lets the tip touch it\), the"):
-        plan(touching_scene(30.0, depth=0.015))
+        plan(touching_scene(25.0, depth=0.008))
+
+
+@pytest.mark.parametrize(("depth", "length"), [(0.012, 12), (0.04, 40), (0.05, 40)])
+def test_a_path_deep_in_what_it_may_touch_is_refused(depth: float, length: int) -> None:
+    """A board of 40 mm, a tool point within it, at its far side and beyond."""
+    scene = touching_scene(60.0, depth=depth)
+    told = rf"tool_path.legs\[0\]: got {length} mm of the tip in board, the tool point at \(0.500, "
+    with pytest.raises(SceneError, match=told):
+        plan(scene)
+    (error,) = (each for each in precheck_scene(scene).warnings if each.severity == "error")
+    assert error.got.startswith(f"{length} mm of the tip in board")
+
+
+@given(
+    shape=st.sampled_from(
+        [
+            Box(size=(0.3, 0.2, 0.1)),
+            Cylinder(radius=0.1, length=0.3),
+            Capsule(radius=0.1, length=0.2),
+            Sphere(radius=0.15),
+        ]
+    ),
+    turn=arrays(np.float64, 3, elements=st.floats(-3, 3)),
+    point=arrays(np.float64, 3, elements=st.floats(-0.3, 0.3)),
+)
+def test_points_in_an_obstacle_are_those_at_no_distance(shape: Any, turn: Any, point: Any) -> None:
+    X = pin.SE3(pin.exp3(turn), np.array([0.1, -0.2, 0.05]))
+    at, (solid,) = X.translation + point, coal_shapes(shape, "solid")
+    there = coal.Transform3s(X.rotation, X.translation)
+    small, place = coal.Sphere(1e-3), coal.Transform3s(np.eye(3), at)
+    away = coal.distance(small, place, solid, there, coal.DistanceRequest(), coal.DistanceResult()) + 1e-3
+    assume(abs(away) > 1e-5)
+    inside = Obstacle(name="solid", shape=shape, X_WO=X.homogeneous).contains(at[None])
+    assert inside.tolist() == [away < 0]
 
 
 def translation(*xyz: float) -> Any:
