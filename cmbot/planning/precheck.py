@@ -203,10 +203,12 @@ def _hold_key(scene: Scene) -> str:
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
     """Yield magnets with a pull that their usual kind, of two poles, has not on this steel."""
-    for foot in robot.feet:
+    for number, foot in enumerate(robot.feet, start=1):
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
-            got = f"{foot.adhesion:.0f} N, where a magnet of two poles pulls {foot.ceiling:.0f} N at most"
-            expected = "what the magnet was measured to pull on this steel"
+            which = f" of foot {number}" * (len(robot.feet) > 1)
+            most = f"{foot.ceiling:.0f} N at most"
+            got = f"{foot.adhesion:.0f} N{which}, where a magnet of two poles pulls {most}"
+            expected = "what the magnet was measured to pull on this steel; it is taken as given"
             yield _warning(f"{_hold_key(scene)}.adhesion_n", got, expected)
 
 

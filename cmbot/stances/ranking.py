@@ -195,7 +195,10 @@ def _remedy(why: Rejection, scene: Scene) -> str:
     times, holds = why.excess + 0.005, scene.guardrail.hold or ()
     magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.cause.startswith(FEET) else []
     pull = f" (magnets of {times * max(magnets) / 1e3:.1f} kN)" if magnets else ""
-    return f"where {why.cause}, {times:.2f} times what it bears{pull} would do, or another {why.would_do}"
+    alone = " for that alone" if pull else ""
+    return (
+        f"where {why.cause}, {times:.2f} times what it bears{pull} would do{alone}, or another {why.would_do}"
+    )
 
 
 def stand(

@@ -127,6 +127,10 @@ def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> 
     out = run("check", path).out
     assert f"{path}: guardrail.hold.adhesion_n: got numbers that look like kN, expected N\n" in out
     assert re.search(r"got \d+ N of adhesion, times safety 2, where a foot has 5 N, expected", out)
+    clamp = {"kind": "clamp", "force_n": [4, 4, 4], "moment_nm": [1.2, 1.2, 1.2]}
+    clamped = write_scene(tmp_path / "clamp.yaml", {**SHORT, "guardrail": {"hold": clamp}})
+    told = f"{clamped}: guardrail.hold.force_n: got numbers that look like kN, expected N\n"
+    assert told in run("check", clamped).out
     with pytest.raises(
         cmbot.PlanningError, match=r"; guardrail.hold.adhesion_n looks like kN, it is in N"
     ) as e:

@@ -22,8 +22,8 @@ _NEAR_REACHES, _FAR_REACHES = 4.0, 10.0
 _MILLIMETRE = 1e-3
 # On a base softer than this in every direction, N/m, an arm would sink by centimetres.
 _SOFTEST_N_M = 1e4
-# No magnet for a robot pulls less, N.
-_LEAST_ADHESION_N = 100.0
+# No magnet for a robot pulls less, and no clamp holds less, N.
+_LEAST_HOLD_N = 100.0
 
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -42,8 +42,12 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     holds = [("guardrail", hold) for hold in scene.guardrail.hold or ()]
     holds += [("base", scene.base.hold)] if scene.base and scene.base.hold else []
     for block, hold in holds:
-        if hold.adhesion_n is not None and hold.adhesion_n < _LEAST_ADHESION_N:
-            yield f"{block}.hold.adhesion_n", "kN", "N"
+        for key, forces in (
+            ("adhesion_n", (hold.adhesion_n or np.inf,)),
+            ("force_n", hold.force_n or (np.inf,)),
+        ):
+            if max(forces) < _LEAST_HOLD_N:
+                yield f"{block}.hold.{key}", "kN", "N"
     for obstacle in _own(scene):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
             yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"
