@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.flexibility.sag_compensation import Compensation, optimise_bent
 from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
-from cmbot.planning.free_motion.approach import plan_approach
+from cmbot.planning.free_motion.approach import approach_way, plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
 from cmbot.planning.initial_guess import InitialGuess, leap_failure
@@ -74,10 +74,11 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
     if not isinstance(guess, InitialGuess):
         return guess
     try:
+        guess = _with_way(request, guess)
         optimised, compensation = _optimised(request, guess)
         request.reporter.stage("certify")
         posture = optimised.trajectory.q[0]
-        moved = float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
+        moved = _moved(request, posture)
         start = request.state.posture if moved <= SAME_POSTURE else None
         certificate = _certified(request, optimised, start)
         if not isinstance(certificate, Certificate):
@@ -185,14 +186,37 @@ def _certified(
     return certificate
 
 
+def _moved(request: StrokeRequest, posture: FloatArray) -> float:
+    """How far a posture (n,) is from where the arm is."""
+    return float(np.abs(request.cell.robot.metric.coordinates(posture - request.state.posture)).max())
+
+
+def _with_way(request: StrokeRequest, guess: InitialGuess) -> InitialGuess:
+    """The guess with a way to where it starts: where none leads there nothing need be optimised."""
+    start = guess.problem.parametrization.via_points[0]
+    if guess.way is not None or _moved(request, start) <= SAME_POSTURE:
+        return guess
+    way = approach_way(request, start, _chart(request, guess), dispensable=_is_dispensable(request, guess))
+    return replace(guess, way=way)
+
+
 def _approach(request: StrokeRequest, guess: InitialGuess, trajectory: QuinticTrajectory) -> Segment:
     """The free move to where a trajectory starts."""
     request.reporter.step("planning the approach to the start")
     allowed = float(request.cell.objective.at_rest(request.cell.postures.at(trajectory.q)).max())
-    chart = request.first[None] if guess.search is None else guess.search.first_chart.q
-    others = guess.search is not None and request.stroke.begins_elsewhere and guess.way is None
-    others |= guess.choice is not None and guess.choice.pinned is not None
+    chart, others = _chart(request, guess), _is_dispensable(request, guess)
     return plan_approach(request, trajectory.q[0], chart, way=guess.way, allowed=allowed, dispensable=others)
+
+
+def _chart(request: StrokeRequest, guess: InitialGuess) -> FloatArray:
+    """Postures (M, n) that hold the tool where the stroke starts."""
+    return request.first[None] if guess.search is None else guess.search.first_chart.q
+
+
+def _is_dispensable(request: StrokeRequest, guess: InitialGuess) -> bool:
+    """Whether there are other starts than a guess's, or the arm can stay where it is."""
+    others = guess.search is not None and request.stroke.begins_elsewhere and guess.way is None
+    return others or (guess.choice is not None and guess.choice.pinned is not None)
 
 
 def _return(request: StrokeRequest, before: tuple[Segment, ...]) -> Segment | None:

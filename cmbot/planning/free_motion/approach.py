@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.budget import MORE_TIME
-from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
+from cmbot.planning.free_motion.free_move import FreeMove, find_way, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
@@ -26,6 +26,8 @@ _MAX_GOALS = 40
 _MAX_START_GROWTHS = 1500
 # Postures of a chart are neighbours within this many spacings.
 _NEAR_SPACINGS = 1.6
+
+_Way = Callable[[FreeSpace], FloatArray | None]
 
 
 def plan_approach(
@@ -60,6 +62,25 @@ def plan_approach(
     PathNotFound
         When nothing leads there.
     """
+    return plan_move(request, *_sought(request, end, chart, way, allowed, dispensable))
+
+
+def approach_way(
+    request: StrokeRequest, end: FloatArray, chart: FloatArray, *, dispensable: bool = False
+) -> FloatArray:
+    """Return a free broken line (k, n) on which an approach may lead to `end` (n,), as `plan_approach`."""
+    return find_way(request, *_sought(request, end, chart, None, 0.0, dispensable))
+
+
+def _sought(
+    request: StrokeRequest,
+    end: FloatArray,
+    chart: FloatArray,
+    way: FloatArray | None,
+    allowed: float,
+    dispensable: bool,
+) -> tuple[FreeMove, _Way, _Way]:
+    """An approach, its way along the self-motion, and the way to it that is known."""
     move = FreeMove(
         name=free_move_name(request.number),
         start=request.state.posture,
@@ -82,7 +103,7 @@ def plan_approach(
         rest = _along_chart(space, np.stack([way[-1], end]), turned, spacing)
         return None if rest is None else np.vstack([way, rest[1:]])
 
-    return plan_move(request, move, along_chart, known)
+    return move, along_chart, known
 
 
 def _before_in_words(request: StrokeRequest) -> str:

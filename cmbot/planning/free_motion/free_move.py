@@ -137,6 +137,22 @@ def plan_move(
     )
 
 
+def find_way(
+    request: StrokeRequest,
+    move: FreeMove,
+    first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
+    known: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
+) -> FloatArray:
+    """Return a broken line (k, n) in free space between the ends of a move, with errors as `plan_move`."""
+    request = request.tool_off
+    space, ends = _space_around(request, move), np.stack([move.start, move.end])
+    stop = partial(request.deadline.expired, MORE_TIME)
+    found = _ways(space, ends, first(space), known, stop, move.most_growths)
+    if not found:
+        raise _unconnected(request, space, move)
+    return found[0]
+
+
 def certify_move(
     robot: Robot,
     task: ToolTask,
@@ -230,6 +246,25 @@ def _path(
     most_growths: int,
 ) -> FloatArray | None:
     """A free path (k, n): the first whose peak is allowed, else one whose peak is as low as was found."""
+    found = _ways(space, ends, given, known, stop, most_growths)
+    for path in found:
+        if space.peak(path) <= allowed:
+            return path
+    if not found:
+        return None
+    path = lower_peak(space, min(found, key=space.peak), allowed, stop)
+    return space.below(max(allowed, space.peak(path))).shorten(path)
+
+
+def _ways(
+    space: FreeSpace,
+    ends: FloatArray,
+    given: FloatArray | None,
+    known: Callable[[FreeSpace], FloatArray | None],
+    stop: Callable[[], bool],
+    most_growths: int,
+) -> list[FloatArray]:
+    """Free paths (k, n), those that were found at once or, without any, one that trees lead along."""
     found = [] if given is None else [given]
     if space.straight(ends[0], ends[1]):
         found.append(ends)
@@ -238,13 +273,7 @@ def _path(
         if path is None or not space.holds(path).all():
             path = rrt_connect(space, ends[0], ends[1:], stop, most_growths)
         found = [] if path is None else [space.shorten(path)]
-    for path in found:
-        if space.peak(path) <= allowed:
-            return path
-    if not found:
-        return None
-    path = lower_peak(space, min(found, key=space.peak), allowed, stop)
-    return space.below(max(allowed, space.peak(path))).shorten(path)
+    return found
 
 
 def _timed(
