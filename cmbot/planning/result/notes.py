@@ -148,6 +148,7 @@ def _holds(plan: Plan) -> Iterator[Note]:
 def _base(plan: Plan) -> dict[str, Any]:
     """What the base must bear, and where that is: in the posture at an end, at rest, or during a segment."""
     peak, baseline = plan.job.figures.peak_guardrail_torque, plan.baseline
+    calmer = plan.baseline_sway
     values: dict[str, Any] = {
         "base": plan.scene.base_name,
         "peak_nm": peak,
@@ -157,6 +158,7 @@ def _base(plan: Plan) -> dict[str, Any]:
         "faults": baseline_faults(plan),
         "work_faults": baseline_faults(plan, work=True),
         "further": further(plan),
+        "swings": None if calmer is None or plan.sway is None else (plan.sway.swing_mm, 1e3 * calmer[1]),
         # Of the shipped robot its own pages say it.
         "still_kg": 0.0 if plan.scene.on_guardrail else plan.robot.carrier_mass,
         "still_nm": float(np.linalg.norm(plan.robot.carrier_torque)),

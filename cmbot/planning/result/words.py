@@ -22,6 +22,8 @@ MOST_FIRST = 5
 
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
+# Of a swing, mm, that is seen, what is fewer times as large is not much calmer.
+_CALMER_FACTOR, _SEEN_MM = 2.0, 0.01
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
 _COSTED_GAIN_SHARE, _TRAVEL_FACTOR = 5e-2, 3.0
 
@@ -170,7 +172,10 @@ def _base(note: Any) -> str:
         text += f", {_against(note.peak_nm, note.baseline_nm)}"
         gain = 1 - note.peak_nm / note.baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
-            text += ": hardly anything is gained"
+            is_calmer = note.swings and note.swings[1] > max(_CALMER_FACTOR * note.swings[0], _SEEN_MM)
+            after, before = (f"{swing:.3f}" for swing in note.swings or (0.0, 0.0))
+            calmer = f", but after the stop the tool swings by {after} in place of {before} mm"
+            text += calmer if is_calmer else ": hardly anything is gained"
         elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and note.further >= _TRAVEL_FACTOR:
             text += f", with joints that travel {note.further:.1f} times as far at work"
     if note.work_nm is not None:

@@ -62,11 +62,13 @@ def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
         figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
         certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
         work = changed(without_approach(triangle_plan), "work", certificate=certificate)
-        scene = work.scene.with_posture(work.start.posture)
-        assert (
-            "less than the baseline's 486.4 Nm: hardly anything is gained"
-            in verdict(replace(work, scene=scene))
-        ) == hardly
+        work = replace(work, scene=work.scene.with_posture(work.start.posture))
+        swung = 1e3 * work.baseline_sway[1]
+        told = f"486.4 Nm, but after the stop the tool swings by {work.sway.swing_mm:.3f} in place of"
+        assert (f"{told} {swung:.3f} mm" in verdict(work)) == hardly
+        # As calm as before.
+        work.__dict__["baseline_sway"] = (0.0, 1e-3 * work.sway.swing_mm)
+        assert ("less than the baseline's 486.4 Nm: hardly anything is gained" in verdict(work)) == hardly
 
 
 @pytest.mark.parametrize(("share", "little"), [(0.98, True), (0.9, False)])
