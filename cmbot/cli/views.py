@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -231,9 +231,10 @@ class ExportCommand(Writing):
         if locked := dict(loaded.scene.robot.locked or ()):
             places = ", ".join(f"{name} at {value:g}" for name, value in locked.items())
             err.print(f"Not moved, to be there first (rad or m, robot.locked): {one_line(places)}.")
+        start = dict(zip(loaded.robot.joints, loaded.job.trajectory.q[0].tolist(), strict=True))
         self.answer(
-            lambda: _exported(written, message) | {"locked": locked},
-            lambda: _print_exported(written, self.ros, message, loaded),
+            lambda: _exported(written, message) | {"locked": locked, "start": start},
+            lambda: _print_exported(written, message, loaded),
         )
 
     def _write_message(self, plan: cmbot.Plan, file: Path) -> RosTrajectory:
@@ -258,17 +259,15 @@ def _exported(written: Iterable[Path], message: RosTrajectory | None) -> dict[st
     return told | {"moving_joints_left_out": message.left_out}
 
 
-def _print_exported(
-    written: Iterable[Path], ros: Path | None, message: RosTrajectory | None, plan: cmbot.Plan
-) -> None:
-    for file in written:
+def _print_exported(written: Mapping[Path, object], message: RosTrajectory | None, plan: cmbot.Plan) -> None:
+    for file, made in written.items():
         said = ""
-        if message is not None and file == ros:
+        if message is not None and made is message:
             within = f"{message.deviation:.1e} rad (or m), at the tool {1e3 * message.tool_deviation:.2g} mm,"
             said = f": {message.points} points, between them within {within} of the plan"
         out.print(f"Written to {one_line(file)}{said}.")
-    if ros is not None:
-        start = cmbot.robot.postures_in_words(plan.robot.limits.prismatic, plan.job.trajectory.q[0])
+    if any(file.is_file() for file in written):
+        start = cmbot.scene.start_entry(plan.job.trajectory.q[0], plan.robot.limits)
         out.print(f"The arm has to be at {start} before: the way there is not planned.")
 
 

@@ -175,7 +175,7 @@ def scene_text(
     robot: Mapping[str, tuple[object, str]],
     on_guardrail: bool,
     posture: FloatArray,
-    prismatic: BoolArray,
+    limits: JointLimits,
     tool_point: FloatArray,
     keep: str,
     by: Sequence[float],
@@ -194,8 +194,8 @@ def scene_text(
     on_guardrail : bool
         Whether the robot holds the default guardrail; else there is none.
     posture : (n,), rad and m
-    prismatic : (n,)
-        Which joints slide: with any the posture is written in rad and m, else in degrees.
+    limits : JointLimits
+        Where any joint slides, the posture is written in rad and m, else in degrees.
     tool_point : (3,), m
         Where that posture holds the tool.
     keep, by, seconds
@@ -218,7 +218,7 @@ def scene_text(
         world="" if on_guardrail else ": that of the robot's root link",
         name=name,
         robot="".join(lines),
-        start=start_entry(posture, prismatic),
+        start=start_entry(posture, limits),
         point="({:z.4f}, {:z.4f}, {:z.4f})".format(*tool_point),
         keep=keep,
         by=_flow(list(by)),
@@ -231,8 +231,12 @@ def scene_text(
 _RIGID_BASE = "{bays: 0}  # none: a rigid base; base.tube or stiffness, 6 x 6 in SI, bends"
 
 
-def start_entry(q: FloatArray, prismatic: BoolArray) -> str:
-    """Return the line under ``start`` of a scene file that has a posture (n,), rad or m."""
+def start_entry(q: FloatArray, limits: JointLimits) -> str:
+    """Return the line under ``start`` of a scene file that has a posture (n,), rad or m, in its ranges."""
+    prismatic = limits.prismatic
+    # Also as rounded.
+    step = np.where(prismatic, 1e-5, np.radians(1e-4))
+    q = np.clip(q, limits.lower + step, limits.upper - step)
     if not prismatic.any():
         return f"posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
     # In rad and, of joints that slide, m.

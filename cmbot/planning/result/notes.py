@@ -186,11 +186,7 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
         by = next((check.quantity for check in rates if bound_use(check) > _REACHED_SHARE), None)
         values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by, "start": None}
         if plan.start.moved:
-            limits = plan.robot.limits
-            # So that it can be put into a scene: rounded it is within the ranges.
-            step = np.where(limits.prismatic, 1e-5, np.radians(1e-4))
-            inside = np.clip(plan.start.posture, limits.lower + step, limits.upper - step)
-            values["start"] = start_entry(inside, limits.prismatic)
+            values["start"] = start_entry(plan.start.posture, plan.robot.limits)
             values["pinned"] = plan.scene.pinned_posture if plan.options.start == "free" else None
         yield Note(level="first", key="free_moves", values=values)
 
