@@ -271,7 +271,8 @@ def _named_as_option(error: ModelError) -> InputError:
     """Return an error of a robot's files that an option mends with that option as its source."""
     argument = error.key.partition("xacro.")[2]
     option = f"--xacro {argument}=VALUE" if argument else _REMEDY_OPTIONS.get(error.key.partition(".")[0])
-    return error if option is None else InputError(option, "", error.got, error.expected, error.choices)
+    expected = error.expected.replace("base_frame: ", "--base ")
+    return error if option is None else InputError(option, "", error.got, expected, error.choices)
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:

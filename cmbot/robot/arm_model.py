@@ -17,7 +17,7 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
-from cmbot.robot.description.frames import require_independent
+from cmbot.robot.description.frames import require_independent, row_of
 from cmbot.robot.description.hulls import convex_hull, encloses_volume, solid_points
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
@@ -92,6 +92,9 @@ def arm_model(
     for name, value in locked.items():
         if name not in names:
             expected = "a joint that turns or slides, and none of the arm's"
+            behind = [link for link, joint in row_of(root, tool_frame).items() if joint == name]
+            if behind:
+                expected += f": it moves the arm from {base_frame!r}; to lock it, base_frame: {behind[-1]}"
             raise ModelError(str(urdf), f"locked.{name}", shown(name), expected, tuple(names))
         lower, upper = (float(end[names[name]]) for end in (full.lowerPositionLimit, full.upperPositionLimit))
         if not lower <= value <= upper:

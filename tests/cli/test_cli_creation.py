@@ -277,6 +277,7 @@ def test_the_start_is_sought_where_a_lift_is_locked(here: Path) -> None:
     for value, said in (
         ("rail=0.8", "--locked: got 0.8, expected its range, -0.5 to 0.7"),
         ("rial=0.1", "--locked: got 'rial', expected a joint that turns or slides"),
+        ("pan=0.1", "none of the arm's: it moves the arm from 'rail_link'; to lock it, --base pan_link"),
         ("rail=up", "--locked: got rail=up, expected NAME=NUMBER, in rad or m"),
         ("rail", "--locked: got 'rail', expected NAME=VALUE, such as lift_joint=0.3"),
     ):

@@ -144,7 +144,9 @@ def trajectory_message(
         nanoseconds = message_times(trajectory)
     for joint in joints or ():
         if joint not in names:
-            expected = f"a joint{hint(joint, names)}"
+            at = dict(plan.scene.robot.locked or ()).get(joint)
+            locked = "" if at is None else f" that moves: this one is locked at {at:g}"
+            expected = f"a joint{locked or hint(joint, names)}"
             raise InputError("cmbot.export_ros", "joints", joint, expected, tuple(names))
     columns = list(range(len(names))) if joints is None else [names.index(joint) for joint in joints]
     t = np.minimum(trajectory.t[0] + _NANO * nanoseconds, trajectory.t[-1])

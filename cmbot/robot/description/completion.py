@@ -17,7 +17,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.common.representation import ShortRepr
-from cmbot.robot.description.frames import links_beside
+from cmbot.robot.description.frames import links_beside, row_of
 from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
 from cmbot.robot.description.mesh_file import locate_meshes
@@ -198,7 +198,8 @@ def leave_on_floor(root: ElementTree.Element, carried_from: str, base_frame: str
     beside = links_beside(root, carried_from)
     if base_frame in beside:
         expected = f"a link that leads to the base frame, {base_frame!r}, or that one"
-        raise ModelError(source, "carried_from", shown(carried_from), expected)
+        before = tuple(row_of(root, base_frame))
+        raise ModelError(source, "carried_from", shown(carried_from), expected, before)
     for link in beside.values():
         for inertial in link.findall("inertial"):
             link.remove(inertial)

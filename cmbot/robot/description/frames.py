@@ -71,6 +71,14 @@ def links_beside(root: ElementTree.Element, link: str) -> dict[str, ElementTree.
     return {name: each for each in root.findall("link") if (name := each.get("name", "")) in beside}
 
 
+def row_of(root: ElementTree.Element, link: str) -> dict[str, str]:
+    """Return the links from the root to `link`, each with the last joint before it that moves, or nothing."""
+    tree = _Tree(root)
+    row = tree.row(link)
+    joints = {name: tree.joints(row[0], name) for name in row}
+    return {name: each[-1].get("name", "") if each else "" for name, each in joints.items()}
+
+
 def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
     """Refuse an arm with a joint that does not turn or slide by itself, or has the name of a link.
 
