@@ -24,6 +24,7 @@ from cmbot.robot.limits import JointLimits
 
 # Least length, m, by which moves of joints that slide are measured.
 _MIN_PRISMATIC_SCALE_M = 0.1
+_SAME_PLACE_M = 1e-3
 _ZERO_FORCE = (0.0, 0.0, 0.0)
 
 
@@ -242,6 +243,17 @@ class Robot:
         """From each joint of the arm, at zero, to the next (n + 1, 3), m: first nothing, last to the tool."""
         steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
         return np.array([np.zeros(3), *steps, self.model.frames[self.tool_frame_id].placement.translation])
+
+    @property
+    def base_pose(self) -> Any:
+        """Pose X_WB of the base frame in W, a `pinocchio.SE3`."""
+        return self.model.frames[self.model.getFrameId(self.base_frame)].placement
+
+    @property
+    def base_place(self) -> str:
+        """Where the base frame is in W, in words; empty: nearer to its origin than 1 mm."""
+        at = self.base_pose.translation
+        return f"({', '.join(f'{x:.4g}' for x in at + 0.0)}) m" if np.linalg.norm(at) > _SAME_PLACE_M else ""
 
     @property
     def arm_mass(self) -> float:

@@ -117,7 +117,7 @@ AnyCandidate = Candidate | MountCandidate
 def mounts_of(scene: Scene) -> Iterator[MountCandidate]:
     """Yield the mounts of a scene, that of its robot first; of several in one pose the first one counts."""
     robot = robot_of(scene)
-    placement = robot.model.frames[robot.model.getFrameId(robot.base_frame)].placement
+    placement = robot.base_pose
     own = elastic_base(held_guardrail(scene, robot))
     stiffness = None
     if own is not None:

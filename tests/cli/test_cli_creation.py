@@ -282,3 +282,14 @@ def test_the_start_is_sought_where_a_lift_is_locked(here: Path) -> None:
         ("rail", "--locked: got 'rail', expected NAME=VALUE, such as lift_joint=0.3"),
     ):
         assert said in refusal(*asked, "--locked", value)
+
+
+def test_a_place_that_was_meant_from_the_base_is_said_in_the_world(here: Path) -> None:
+    (here / "rail.urdf").write_text(rail_urdf().replace("0.1 0 0.1", "0.1 0 1.5"), encoding="utf-8")
+    asked = ("new", "--from", "rail.urdf", "--base", "rail_link", "--locked", "rail=0.3", "--tool-at")
+    told = refusal(*asked, "0.9", "0.2", "-0.2", status=3)
+    in_world = "it is in W, where rail_link is at (0.1, 0.3, 1.5) m"
+    assert f"{in_world}; these numbers there are (1, 0.5, 1.3) m in W, where the tool can be held" in told
+    # Where neither is reached.
+    assert refusal(*asked, "9", "0", "0", status=3).endswith(in_world)
+    output(*asked, "1", "0.5", "1.3")

@@ -95,14 +95,21 @@ def find_start(
     search = _Search(robot, obstacles)
     held: Literal["pose", "axis", "position"] = "position" if orientation is None else search.keep
     task = _task(point, np.eye(3) if orientation is None else orientation, held)
-    q = search.postures(task, point)
+    q = search.postures(task)
     margins = [share * PlannerOptions().safety_margin_m for share in _MARGIN_SHARES] if len(q) else []
     for keep, margin in product(search.keeps, margins):
         search.keep = keep
         for posture in search.best(q, margin):
             if (start := search.first_leg(posture, margin)) is not None:
                 return start
-    raise PlanningError(search.reason(task, point, q))
+    reason, X_WB = search.reason(task, point, q), robot.base_pose
+    if len(q) == 0 and robot.base_place:
+        reason += f"; it is in W, where {robot.base_frame} is at {robot.base_place}"
+        turned = X_WB.rotation @ (np.eye(3) if orientation is None else orientation)
+        if len(search.postures(_task(X_WB.act(point), turned, held))):
+            meant = ", ".join(f"{x:.4g}" for x in X_WB.act(point) + 0.0)
+            reason += f"; these numbers there are ({meant}) m in W, where the tool can be held"
+    raise PlanningError(reason)
 
 
 def _task(point: FloatArray, orientation: FloatArray, keep: Literal["pose", "axis", "position"]) -> ToolTask:
@@ -122,7 +129,7 @@ class _Search:
         self.keeps = _KEEPS[max(0, 6 - robot.dof) :] if robot.dof >= 5 else _KEEPS[-1:]
         self.keep = self.keeps[0]
 
-    def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
+    def postures(self, task: ToolTask) -> FloatArray:
         """Postures (N, n) on the task within the ranges of the joints."""
         start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
         sampler = PostureSampler(cell=self._cell, task=task, steps=_MAX_START_STEPS)

@@ -371,8 +371,7 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
 
 def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
     """Return where the base holds the robot, m, in W: at its foot, or at the arm's base frame."""
-    frame = robot.model.frames[robot.model.getFrameId(robot.base_frame)]
-    held: list[float] = frame.placement.translation.tolist()
+    held: list[float] = robot.base_pose.translation.tolist()
     return robot.foot_point if scene.on_guardrail else held
 
 
