@@ -206,7 +206,7 @@ def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers 
         robot=asked.entry(robot, path, assumed, srdf if srdf in files else None),
         on_guardrail=shipped,
         posture=start.posture,
-        limits=robot.limits,
+        arm=robot,
         tool_point=np.array(cmbot.robot.Kinematics(robot).tool_pose(start.posture).translation),
         keep=start.keep,
         by=start.by,

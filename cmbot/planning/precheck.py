@@ -26,9 +26,15 @@ from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, ta
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
-from cmbot.planning.workcell.workcell import bending_arm, rigid_parts_remark, robot_of, stiffness_point
+from cmbot.planning.workcell.workcell import (
+    bending_arm,
+    held_point,
+    rigid_parts_remark,
+    robot_of,
+    stiffness_point,
+)
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of, mount_entry
 from cmbot.toolpath import FaceSurface, ToolPath
 from cmbot.trajectory import SUPPORT
 
@@ -49,6 +55,8 @@ _LOADS = (
 # How much of a tool's tip may be in a workpiece that it may touch; at how many of its places that is judged.
 _MOST_PRESSED_M, _TIP_PLACES = 0.01, 121
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
+# From here on something is elsewhere, and this much of the way is upright.
+_SAME_PLACE_M, _PLUMB_SHARE = 1e-3, 0.99
 # Odd, so that the middle of a leg's time is among them.
 _SPEED_SAMPLES = 201
 
@@ -99,8 +107,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke), *_too_short(stroke, robot)]
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += precheck_options(scene.planner, scene.tool)
-    at = "a place of this lift or rail before the arm; 0 m is assumed"
-    warnings += [_warning(f"robot.locked.{name}", "nothing", at) for name in robot.unplaced]
+    warnings += _locked_below(scene, robot)
     # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
     return Precheck(
@@ -134,9 +141,38 @@ def _asked(
     if rigid := rigid_parts_remark(scene, robot):
         yield "bending", rigid
     if at := stiffness_point(scene):
-        yield f"stiffness of the {scene.base_name} acts at", f"({', '.join(f'{x:g}' for x in at)}) m"
+        acts = f"({', '.join(f'{x:g}' for x in at)}) m, {_place(at, scene, robot)}"
+        yield f"stiffness of the {scene.base_name} acts at", acts
     if identified := identified_in_words(scene):
         yield "stiffness", identified
+
+
+def _place(at: Sequence[float], scene: Scene, robot: Robot) -> str:
+    """Where a point (3,), m, is from what the base holds, in words."""
+    by = np.array(at) - held_point(scene, robot)
+    away, held = float(np.linalg.norm(by)), "the foot" if scene.on_guardrail else robot.base_frame
+    if away <= _SAME_PLACE_M:
+        return f"at {held}"
+    above = "above" if by[2] > 0 else "below"
+    return f"{away:.3g} m {above if abs(by[2]) > _PLUMB_SHARE * away else 'from'} {held}"
+
+
+def _locked_below(scene: Scene, robot: Robot) -> Iterator[Finding]:
+    """Yield what a scene does not say of locked joints before the arm: where they are, what bends."""
+    place = "a place of this lift or rail before the arm; 0 m is assumed"
+    yield from (_warning(f"robot.locked.{name}", "nothing", place) for name in robot.unplaced)
+    lift, at, base = robot.lift, stiffness_point(scene), scene.base_name
+    if lift is None or at is None or scene.on_guardrail:
+        return
+    nothing, tube = f"nothing, and {lift.joint} is locked before the arm:", scene.base and scene.base.tube
+    if not (tube or scene.robot.mount) and robot.base_place:
+        where = f"{mount_entry(robot.base_pose)}, with W there, if it was measured at {robot.base_frame}"
+        got = f"{nothing} the stiffness acts {_place(at, scene, robot)}"
+        yield _warning("robot.mount", got, f"{where}; else with xyz {robot.base_place}")
+    if scene.robot.carried_from is None and lift.beside_kg:
+        floor = f"{lift.link} if they stand on the floor, else {lift.root}"
+        load = f"{nothing} {lift.beside_kg:.4g} kg below it load the {base}"
+        yield _warning("robot.carried_from", load, floor)
 
 
 def _warnings(found: Iterable[_Found]) -> Iterator[Finding]:

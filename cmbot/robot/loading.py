@@ -26,6 +26,7 @@ from cmbot.robot.description.completion import (
     add_masses,
     add_tool,
     leave_on_floor,
+    lift_below,
     loads_beside,
 )
 from cmbot.robot.description.files import RobotFiles, robot_files
@@ -313,6 +314,7 @@ class _Description:
             ),
             unplaced=made.unplaced,
             loads_beside=self.loads,
+            lift=lift_below(self.root, self.base_frame),
             remarks=(*_remarks(files), *self.estimated, *assumed, *made.remarks),
         )
 

@@ -17,6 +17,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.common.representation import card
 from cmbot.hold import Foot, Holding
+from cmbot.robot.description.completion import Lift
 from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
@@ -83,6 +84,8 @@ class Robot:
     loads_beside : mapping of str to float
         Masses, kg, by link, of what neither moves nor is on the arm's base, such as a lift's foot, where
         nothing says from which link on what bends carries the robot.
+    lift : Lift or None
+        The last joint before the arm, which is locked; None where its base stands still in any case.
     damping_ratio : float
         Of every mode, where nothing else is asked for: 0.01 (arms of aluminium tubes have 0.5 to 2 %), or as
         identified.
@@ -112,6 +115,7 @@ class Robot:
     locked_joints: tuple[HoldingJoint, ...] = ()
     unplaced: tuple[str, ...] = ()
     loads_beside: Mapping[str, float] = field(default_factory=dict)
+    lift: Lift | None = None
     damping_ratio: float = 0.01
     remarks: tuple[str, ...] = ()
 

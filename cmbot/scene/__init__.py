@@ -63,6 +63,7 @@ from cmbot.scene.scene_file import (
 from cmbot.scene.template import (
     NewRobot as NewRobot,
     limits_text as limits_text,
+    mount_entry as mount_entry,
     scene_text as scene_text,
     start_entry as start_entry,
 )

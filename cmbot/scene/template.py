@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.poses import rpy_deg
 from cmbot.scene.robot_entry import AttachedToolFile
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def scene_text(
     robot: Mapping[str, tuple[object, str]],
     on_guardrail: bool,
     posture: FloatArray,
-    limits: JointLimits,
+    arm: Robot,
     tool_point: FloatArray,
     keep: str,
     by: Sequence[float],
@@ -194,7 +195,7 @@ def scene_text(
     on_guardrail : bool
         Whether the robot holds the default guardrail; else there is none.
     posture : (n,), rad and m
-    limits : JointLimits
+    arm : Robot
         Where any joint slides, the posture is written in rad and m, else in degrees.
     tool_point : (3,), m
         Where that posture holds the tool.
@@ -215,20 +216,41 @@ def scene_text(
         )
     return _SCENE_TEMPLATE.format(
         schema=schema,
-        world="" if on_guardrail else ": that of the robot's root link",
+        world="" if on_guardrail else ": that of the robot's root link, or as robot.mount says",
         name=name,
         robot="".join(lines),
-        start=start_entry(posture, limits),
+        start=start_entry(posture, arm.limits),
         point="({:z.4f}, {:z.4f}, {:z.4f})".format(*tool_point),
         keep=keep,
         by=_flow(list(by)),
         seconds=f"{seconds:g}",
-        guardrail="{}  # the default one" if on_guardrail else _RIGID_BASE,
+        guardrail="{}  # the default one" if on_guardrail else _rigid_base(arm),
         planner=planner,
     )
 
 
-_RIGID_BASE = "{bays: 0}  # none: a rigid base; base.tube or stiffness, 6 x 6 in SI, bends"
+_RIGID_BASE = """\
+{bays: 0}  # none: a rigid base, unless there is base.tube, or a stiffness at the origin of W:
+# guardrail: {bays: 0, stiffness: [4.0e+5, 4.0e+5, 2.0e+6, 2.5e+5, 2.5e+5, 1.4e+5]}
+# Along x, y, z in N/m, then about them in Nm/rad; or 6 rows, the inverse of the matrix of compliances."""
+
+
+def _rigid_base(arm: Robot) -> str:
+    """What is under ``guardrail`` of an arm whose base is rigid, and how it bends where it is away from W."""
+    text, name = _RIGID_BASE, _flow(arm.base_frame)
+    if arm.base_place:
+        text += f"\n# For one measured at {name}, now at {arm.base_place}, put into robot, with W there:"
+        text += f"\n#   {mount_entry(arm.base_pose)}"
+    if arm.lift is not None:
+        text += f"\n# And where what is below {_flow(arm.lift.joint)} stands on the floor:"
+        text += f"\n#   carried_from: {_flow(arm.lift.link)}"
+    return text
+
+
+def mount_entry(X_WB: Any) -> str:
+    """Return the line under ``robot`` by which W is where its base frame is, at a `pinocchio.SE3`."""
+    turned = ", ".join(f"{angle:z.6g}" for angle in np.round(rpy_deg(X_WB.rotation), 6))
+    return f"mount: {{xyz: [0, 0, 0], rpy_deg: [{turned}]}}"
 
 
 def start_entry(q: FloatArray, limits: JointLimits) -> str:

@@ -1,6 +1,7 @@
 """``cmbot new``: a scene that can be planned at once, and what keeps it from being written."""
 
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,7 +14,7 @@ from urdf_arms import ROBOTS, only_collision
 import cmbot
 from cmbot.collision import Clearances
 from cmbot.common.installation import scene_folder
-from cmbot.planning import robot_of
+from cmbot.planning import precheck_scene, robot_of
 from cmbot.robot import Kinematics
 
 
@@ -282,6 +283,30 @@ def test_the_start_is_sought_where_a_lift_is_locked(here: Path) -> None:
         ("rail", "--locked: got 'rail', expected NAME=VALUE, such as lift_joint=0.3"),
     ):
         assert said in refusal(*asked, "--locked", value)
+
+
+def test_a_scene_says_how_a_stiffness_on_top_of_a_locked_lift_is_written(here: Path) -> None:
+    (here / "rail.urdf").write_text(rail_urdf().replace("0.1 0 0.1", "0.1 0 1.5"), encoding="utf-8")
+    asked = ("new", "--from", "rail.urdf", "--base", "rail_link", "--locked", "rail=0.3", "--tool-at")
+    output(*asked, "1.0", "0.5", "1.6", "-o", "rail.yaml")
+    text = (here / "rail.yaml").read_text(encoding="utf-8")
+    assert "measured at rail_link, now at (0.1, 0.3, 1.5) m" in text
+    before = robot_of(cmbot.load_scene("rail.yaml"))
+    # The comments are lines of the scene: those of the robot go there.
+    commented = re.findall(r"\n#   (mount|carried_from)(:.*)", text)
+    lines = "".join(f"\n  {key}{value}" for key, value in commented)
+    text = text.replace("\nrobot:", f"\nrobot:{lines}")
+    text = re.sub(r"\nguardrail: .*\n# guardrail: ", "\nguardrail: ", text)
+    (here / "bends.yaml").write_text(text, encoding="utf-8")
+    scene = cmbot.load_scene("bends.yaml")
+    checked = precheck_scene(scene)
+    assert dict(checked.found)["stiffness of the base acts at"] == "(0, 0, 0) m, at rail_link"
+    assert not checked.warnings
+    # W is at the arm's base; the foot's 5 kg are on the floor.
+    robot = robot_of(scene)
+    assert before.mass - robot.mass == pytest.approx(5.0)
+    points = [Kinematics(each).tool_pose(scene.posture).translation for each in (before, robot)]
+    np.testing.assert_allclose(points[0] - points[1], [0.1, 0.3, 1.5], atol=1e-12)
 
 
 def test_a_place_that_was_meant_from_the_base_is_said_in_the_world(here: Path) -> None:

@@ -118,7 +118,7 @@ def test_a_plan_without_what_stands_on_the_floor_holds_for_the_second_engine(tmp
 
 def test_check_says_what_loads_a_base_and_where_it_bends(tmp_path: Path) -> None:
     found = dict(precheck_scene(on_springs(tmp_path)).found)
-    assert found["stiffness of the base acts at"] == "(0, 0, 0) m"
+    assert found["stiffness of the base acts at"] == "(0, 0, 0) m, 0.173 m from rail_link"
     assert (
         "5 kg before rail_link count as load of the base: base (5 kg); robot.carried_from leaves out what "
         "stands on the floor."
@@ -134,6 +134,40 @@ def test_check_says_what_loads_a_base_and_where_it_bends(tmp_path: Path) -> None
 
 
 def test_check_warns_of_a_rail_whose_place_is_not_given(tmp_path: Path) -> None:
-    (warning,) = precheck_scene(on_locked_rail(tmp_path)).warnings
+    unplaced, placed = (
+        load_scene(scene.as_data() | {"guardrail": {"bays": 0}})
+        for scene in (on_locked_rail(tmp_path), on_locked_rail(tmp_path, rail=0.0))
+    )
+    (warning,) = precheck_scene(unplaced).warnings
     assert (warning.key, warning.got) == ("robot.locked.rail", "nothing")
-    assert not precheck_scene(on_locked_rail(tmp_path, rail=0.0)).warnings
+    assert not precheck_scene(placed).warnings
+
+
+HERE = {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}
+
+
+@pytest.mark.parametrize(
+    ("given", "missing", "acts"),
+    [
+        ({}, ["robot.mount", "robot.carried_from"], "0.173 m from rail_link"),
+        ({"mount": HERE}, ["robot.carried_from"], "at rail_link"),
+        ({"mount": HERE | {"xyz": [0, 0, 0.4]}}, ["robot.carried_from"], "0.4 m below rail_link"),
+        ({"carried_from": "base"}, ["robot.mount"], "0.173 m from rail_link"),
+        ({"mount": HERE, "carried_from": "rail_link"}, [], "at rail_link"),
+    ],
+)
+def test_check_warns_where_a_stiffness_below_a_lift_is_not_said_to_be(
+    given: dict[str, object], missing: list[str], acts: str, tmp_path: Path
+) -> None:
+    checked = precheck_scene(on_springs(tmp_path, **given))
+    assert [warning.key for warning in checked.warnings] == missing
+    assert dict(checked.found)["stiffness of the base acts at"] == f"(0, 0, 0) m, {acts}"
+    for warning in checked.warnings:
+        assert "rail is locked before the arm" in warning.got
+        first = "rail_link " if warning.key == "robot.carried_from" else "mount: {xyz: [0, 0, 0], rpy_deg: [0"
+        assert warning.expected.startswith(first)
+
+
+def test_a_rail_that_stands_on_nothing_heavy_needs_no_word(tmp_path: Path) -> None:
+    (warning,) = precheck_scene(on_springs(tmp_path, foot_kg=0.0)).warnings
+    assert warning.key == "robot.mount"

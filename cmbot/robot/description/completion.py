@@ -7,7 +7,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -209,6 +209,32 @@ def loads_beside(root: ElementTree.Element, base_frame: str) -> dict[str, float]
     """Return the masses, kg, of the links that `base_frame` does not lead to, by name; none of zero."""
     masses = {name: _mass_of(link) for name, link in links_beside(root, base_frame).items()}
     return {name: mass for name, mass in masses.items() if mass > _ZERO_MASS_KG}
+
+
+class Lift(NamedTuple):
+    """The last joint before an arm, such as a lift's, which is locked.
+
+    Attributes
+    ----------
+    joint, link, root : str
+        Its name, that of the link that it carries, and that of the root link.
+    beside_kg : float
+        Mass of what that link does not lead to, and is not said to stand on the floor.
+    """
+
+    joint: str
+    link: str
+    root: str
+    beside_kg: float
+
+
+def lift_below(root: ElementTree.Element, base_frame: str) -> Lift | None:
+    """Return the last joint of a URDF before `base_frame`; None where none turns or slides."""
+    row = row_of(root, base_frame)
+    if not (joint := row[base_frame]):
+        return None
+    link = next(name for name, moved_by in row.items() if moved_by == joint)
+    return Lift(joint, link, next(iter(row)), sum(loads_beside(root, link).values()))
 
 
 def _bodies(
