@@ -96,7 +96,7 @@ def test_help_breaks_lines_where_the_terminal_does_and_gives_flags_no_value(
     assert "\nFor the shipped robot, an arm on a climber that holds a\nguardrail, and for any arm" in text
     assert max(map(len, text.splitlines())) <= 60
     assert "  --one-foot  " in text
-    assert "[default: 0.15]" in " ".join(text.split())
+    assert "[default: 0.05]" in " ".join(text.split())
 
 
 def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: Outcome) -> None:
