@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import permutations, product
+from itertools import groupby, permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,14 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification, estimate
 from cmbot.identification.misfit import Part, Slip, parts
-from cmbot.identification.model import DeflectionModel, SagAlong
+from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm
 from cmbot.identification.problem import MatchedFrequency, Problem
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import IdentifiedStiffness
 
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
@@ -34,6 +35,8 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 _UNSEEN_SHARE = 0.9
 # By how much errors may be larger than stated, where chance hardly does that.
 _MAX_ERROR_RATIO, _PLAIN_MISFIT = 5.0, 1e-3
+# How far a stiffness may be from its model, in standard deviations of the prior.
+_MAX_STIFFNESS_SIGMAS = 8.0
 # In which deflections may be, by their factors; smaller ones, m, have no direction.
 _UNITS = {1e3: "m", 1e-3: "um", 10.0: "cm", 0.1: "tenths of a millimetre", 0.01: "hundredths of a millimetre"}
 _ZERO_M = 1e-12
@@ -59,13 +62,18 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
 
     Name, modelled, identified, factor, standard deviation now and before, and whether it was told at all.
     """
-    L = found.parameters.factor if found.parameters.has_base else None
     for name, modelled, identified, now, before in stiffness_rows(
-        found.stiffness, L if L is None else L @ L.T
+        found.stiffness, _modelled_compliance(found)
     ):
         told, factor = "not seen" if is_unseen(now, before) else "", identified / modelled
         shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
         yield name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
+
+
+def _modelled_compliance(found: Identification) -> FloatArray | None:
+    """That of the base, (6, 6); None where it is rigid."""
+    L = found.parameters.factor
+    return L @ L.T if found.parameters.has_base else None
 
 
 def is_unseen(now: float, before: float) -> bool:
@@ -303,7 +311,8 @@ def require_fit(found: Identification) -> None:
     ------
     InputError
         A record's rest is not gravity along its axes, a row is far from what the others predict, all of them
-        fit several times worse than stated, or the arm is far from its model.
+        fit several times worse than stated, a joint cannot hold the weight, most frequencies of a posture are
+        of no mode, or the arm is far from its model.
     """
     for source, key, off, fits in _rests(found):
         if off > _MOST_OFF_DEG:
@@ -336,6 +345,64 @@ def require_fit(found: Identification) -> None:
             got = f"{got}: {far.frequency:.4g} Hz of mode {_either(far)}"
         expected = _mistaken(found) or expected
         raise InputError(source, key, got, f"{expected}; or {_ACCEPT}")
+    _require_held(found)
+    _require_modes(found)
+    _require_prior(found)
+
+
+def _require_held(found: Identification) -> None:
+    """Refuse a weight that a joint of the arm cannot hold in its posture."""
+    robot = found.modelled.robot
+    bound = robot.limits.torque
+    for sheet in found.measurements:
+        rows, kg = np.flatnonzero(np.isfinite(sheet.deflection).any(axis=1)), sheet.setup.weight_kg
+        if not len(rows):
+            continue
+        robots = robot, measured_arm(sheet.scene, kg).robot
+        rest, torque = (Dynamics(each).static_efforts(sheet.q[rows]).joint_torque for each in robots)
+        # A joint that does not hold the arm without the weight says nothing of the weight.
+        use = np.where(np.abs(rest) < bound, np.abs(torque) / bound, 0.0)
+        k, joint = np.unravel_index(use.argmax(), use.shape)
+        if use[k, joint] <= 1:
+            continue
+        by, unit = torque[k, joint] - rest[k, joint], "N" if robot.limits.prismatic[joint] else "Nm"
+        most = kg * (bound[joint] - np.sign(by) * rest[k, joint]) / abs(by)
+        got = f"{kg:g} kg, with which {robot.joints[joint]} bears {abs(torque[k, joint]):.3g} {unit}"
+        expected = f"at most {bound[joint]:.3g} {unit}, which holds {most:.2g} kg in this posture"
+        raise InputError(
+            sheet.source, sheet.key(rows[k]), got, f"{expected}; weight_kg in kg, not g; or {_ACCEPT}"
+        )
+
+
+def _require_modes(found: Identification) -> None:
+    """Refuse frequencies of which most, in a posture, are of no mode of the arm that deflections tell."""
+    for label, each in groupby(found.matched, key=lambda match: match.label):
+        given, sheet = list(each), found.measurements[label.sheet]
+        far = [f"{match.frequency:.4g}" for match in given if not match.modes]
+        if 2 * len(far) <= len(given) or not np.isfinite(sheet.deflection).any():
+            continue
+        slowest = arm_modes(found.arm, sheet.q[label.row]).frequencies[0]
+        got = (
+            f"{', '.join(far)} Hz, {len(far)} of {len(given)} frequencies, within 30 % of no mode of the arm"
+        )
+        expected = f"modes as the deflections tell them, the slowest of {slowest:.3g} Hz: a wrong weight_kg?"
+        raise InputError(sheet.source, sheet.key(label.row), got, f"{expected} Or {_ACCEPT}")
+
+
+def _require_prior(found: Identification) -> None:
+    """Refuse a stiffness that is farther from its model than what was known before allows."""
+    rows = list(stiffness_rows(found.stiffness, _modelled_compliance(found)))
+    off = [abs(float(np.log(identified / modelled))) / before for _, modelled, identified, _, before in rows]
+    worst = int(np.argmax(off))
+    if off[worst] <= _MAX_STIFFNESS_SIGMAS:
+        return
+    name, modelled, identified, _, before = rows[worst]
+    got = (
+        f"{name.partition(',')[0]} {identified / modelled:.3g} times as stiff as modelled, {off[worst]:.1f} "
+        f"standard deviations of what is known before ({100 * before:.0f} %)"
+    )
+    expected = f"deflections in mm by weight_kg in kg, not g, {_AS_MODELLED}"
+    raise InputError(found.measurements[0].source, "measurements", got, f"{expected}; or {_ACCEPT}")
 
 
 def _mistaken(found: Identification, slip: Slip | None = None) -> str:

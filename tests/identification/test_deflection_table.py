@@ -1,8 +1,10 @@
 """Tables of measurements say what sheets do: weights, gauges and records row by row."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,6 +13,7 @@ from command_line import run
 from small_scenes import short_scene
 from test_records import oscillations, write
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.modes import arm_modes
@@ -253,17 +256,64 @@ def test_a_gauge_at_another_frame_of_the_last_link_is_recognised(scene: str, tmp
         identify(*read_deflections(path, scene))
 
 
-def test_frequencies_may_not_fit_by_a_wrong_weight(scene: str) -> None:
-    """All deflections are those of a lighter weight than stated; frequencies are of the arm."""
-    q = POSTURE + np.random.default_rng(5).uniform(-0.6, 0.6, (6, 7))
+def folded(scene: str) -> tuple[dict[str, Any], FloatArray]:
+    """What 5 kg do to the arm as modelled in postures in which it holds 7 kg, and the modes of the first."""
+    turned = np.random.default_rng(5).uniform(-0.6, 0.6, (6, 7))
+    turned[:, 3] -= 1.0
+    q = POSTURE + turned
     arm = measured_arm(short_scene())
     model = DeflectionModel(arm, MeasuringSetup(weight_kg=5.0), q)
     moved = 1e3 * model.at(np.zeros(model.parameters.count))[0]
     rows = [
         {"posture": each, "deflection_mm": own} for each, own in zip(q.tolist(), moved.tolist(), strict=True)
     ]
-    rows[0]["frequencies_hz"] = arm_modes(arm, q[0]).frequencies[:3].tolist()
     content = {"format": "cmbot-measurements/1", "scene": scene, "gauge_sd_mm": 0.01, "measurements": rows}
+    return content, arm_modes(arm, q[0]).frequencies
+
+
+def test_frequencies_may_not_fit_by_a_wrong_weight(scene: str) -> None:
+    """All deflections are those of a lighter weight than stated; frequencies are of the arm."""
+    content, modes = folded(scene)
+    content["measurements"][0]["frequencies_hz"] = modes[:3].tolist()
     with pytest.raises(InputError, match="a wrong weight_kg"):
         identify(content | {"weight_kg": 7.0})
     assert identify(content | {"weight_kg": 5.0}).slips == ()
+
+
+def test_a_weight_that_no_joint_can_hold_is_refused(scene: str) -> None:
+    """The joint, its torque and the weight that it holds are those of Pinocchio's statics."""
+    content, _ = folded(scene)
+    robot = measured_arm(short_scene()).robot
+
+    def torque(row: int, kg: float) -> FloatArray:
+        model, q = robot.model.copy(), np.array(content["measurements"][row]["posture"])
+        at = model.frames[robot.tool_frame_id]
+        point = pin.Inertia(kg, at.placement.translation, np.zeros((3, 3)))
+        model.inertias[at.parentJoint] += point
+        return np.asarray(pin.computeGeneralizedGravity(model, model.createData(), q))
+
+    with pytest.raises(InputError) as refused:
+        identify(content | {"weight_kg": 20.0})
+    told = re.search(
+        r"\[(\d)\]: got 20 kg, with which joint_(\d) bears (\d+) Nm, .* holds ([\d.]+) kg in this posture",
+        str(refused.value),
+    )
+    assert told is not None, refused.value
+    row, joint = int(told[1]), int(told[2]) - 1
+    assert abs(torque(row, 20.0)[joint]) == pytest.approx(float(told[3]), abs=0.5)
+    assert abs(torque(row, float(told[4]))[joint]) == pytest.approx(robot.limits.torque[joint], rel=0.02)
+    identify(content | {"weight_kg": 20.0}, accept_misfit=True)
+
+
+@pytest.mark.parametrize(("shares", "refused"), [((0.5, 0.6, 1.0), True), ((0.5, 1.0, 1.0), False)])
+def test_most_frequencies_of_a_posture_are_of_a_mode(
+    shares: tuple[float, ...], refused: bool, scene: str
+) -> None:
+    content, modes = folded(scene)
+    content["measurements"][0]["frequencies_hz"] = sorted((modes[:3] * shares).tolist())
+    if not refused:
+        assert [not each.modes for each in identify(content).matched] == [True, False, False]
+        return
+    with pytest.raises(InputError, match=r"2 of 3 frequencies.* a wrong weight_kg") as error:
+        identify(content)
+    assert f"the slowest of {modes[0]:.3g} Hz" in str(error.value)

@@ -181,10 +181,13 @@ def test_an_arm_far_from_its_model_is_no_slip(proposal: Proposal, modelled: Elas
         require_fit(estimate(metres, modelled))
 
 
-def test_a_base_far_from_its_model_needs_a_wider_prior(proposal: Proposal, modelled: ElasticArm) -> None:
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_a_base_far_from_its_model_needs_a_wider_prior(
+    share: float, proposal: Proposal, modelled: ElasticArm
+) -> None:
     rng = np.random.default_rng(2)
     truth = benchmark.soft(modelled, proposal.setup, rng)
-    truth = replace(truth, base=0.02 * truth.base)
+    truth = replace(truth, base=share * truth.base)
     measured = benchmark.simulated(proposal, truth, truth.arm(modelled), rng)
     with pytest.raises(InputError, match=r"prior: \{base: 2\}") as refused:
         require_fit(estimate(measured, modelled))
