@@ -22,6 +22,7 @@ from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification, estimate
+from cmbot.identification.measurements import Measurements
 from cmbot.identification.misfit import Part, Slip, parts
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm
 from cmbot.identification.problem import MatchedFrequency, Problem
@@ -50,7 +51,9 @@ _GRAVITY, _GRAVITY_SHARE, _MOST_OFF_DEG, _FITS_DEG = (1.0, 9.80665, 9806.65), 0.
 _LEAST_SHARE_OF_A_MODE = 0.1
 # The smallest probability that is told, per cent.
 _LEAST_SHARE = 0.01
-MODE_HEADINGS = ("measured in", "Hz", "damping, %", "its sd, %", "mode, Hz predicted without it")
+# Steps in which gauges are read, mm.
+_STEPS_MM = (1.0, 0.1, 0.01, 0.001)
+MODE_HEADINGS = ("measured in", "Hz", "damping, % of critical", "±", "mode, Hz predicted without it")
 """Of the columns of `mode_rows`."""
 
 _BASE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
@@ -65,7 +68,7 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
     for name, modelled, identified, now, before in stiffness_rows(
         found.stiffness, _modelled_compliance(found)
     ):
-        told, factor = "not seen" if is_unseen(now, before) else "", identified / modelled
+        told, factor = "not seen: no finding" if is_unseen(now, before) else "", identified / modelled
         shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
         yield name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
 
@@ -137,11 +140,11 @@ def mode_rows(found: Identification) -> Iterator[tuple[str, ...]]:
 
 
 def _either(match: MatchedFrequency) -> str:
-    """Modes and the frequencies predicted of them; of those that mix all numbers, and one frequency."""
+    """Modes and the frequencies predicted of them; of those that mix all numbers, and that of the mixture."""
     kept = [k for k, share in enumerate(match.probabilities) if share > _LEAST_SHARE_OF_A_MODE]
-    if match.told_apart:
+    if match.told_apart and len(kept) > 1:
         numbers = " mixed with ".join(str(match.modes[k]) for k in kept)
-        return f"{numbers} ({match.predicted[0]:.4g} Hz)" if kept else ""
+        return f"{numbers} (the mixture: {match.predicted[0]:.4g} Hz)"
     return " or ".join(f"{match.modes[k]} ({match.predicted[k]:.4g} Hz)" for k in kept)
 
 
@@ -196,14 +199,30 @@ def remarks(found: Identification) -> Iterator[str]:
             f"deviation {100 * damping.sd:.2g} % from mode to mode; used by all that sways with this file."
         )
     for weight in found.weights:
-        own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
-        yield f"Weight of {weight.stated:g} kg: {own}."
+        off = round(1e3 * (weight.estimated - weight.stated)) + 0
+        yield (
+            f"Assumes {weight.stated:g} kg (weight_kg): deflections do not check it; its error, within "
+            f"weight_sd_kg, is estimated as {off} g, standard deviation {1e3 * weight.deviation:.0f} g."
+        )
     gauges = {sheet.setup.gauge_sd_mm for sheet in found.measurements if np.isfinite(sheet.deflection).any()}
     if gauges:
         errors = ", ".join(f"{gauge:g}" for gauge in sorted(gauges))
-        yield f"Assumes a gauge's error of {errors} mm (gauge_sd_mm), one standard deviation."
+        finer = next(filter(None, map(_finer_gauge, found.measurements)), "")
+        yield f"Assumes a gauge's error of {errors} mm (gauge_sd_mm), one standard deviation{finer}."
     if not any(sheet.setup.windup_sd_arcmin for sheet in found.measurements):
         yield "Assumes joints without play, which a weight would take up (windup_sd_arcmin: 0)."
+
+
+def _finer_gauge(sheet: Measurements) -> str:
+    """How to state an error that is not stated, where deflections are written in steps that are finer."""
+    read = 1e3 * sheet.deflection[np.isfinite(sheet.deflection)]
+    step = next(
+        (step for step in _STEPS_MM if np.allclose(read / step, np.round(read / step), atol=1e-6)), 1.0
+    )
+    if "gauge_sd_mm" in sheet.setup.model_fields_set or step >= sheet.setup.gauge_sd_mm:
+        return ""
+    stated = f"--gauge {step:g}" if sheet.rows else f"gauge_sd_mm: {step:g}"
+    return f"; deflections are written to {step:g} mm: if the gauge is as exact, state {stated}"
 
 
 def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:

@@ -99,7 +99,7 @@ def test_more_postures_are_proposed_beside_those_measured(
     second.write_text(re.sub("{z: null}  # about (.*)", r"{z: \1}", sheets), encoding="utf-8")
     both = run("identify", measured, second)
     assert both.status == 0, both.err
-    assert "Weight of 4 kg" in both.out
+    assert "Assumes 4 kg (weight_kg)" in both.out
     assert measured.with_name("measured_2.stiffness.yaml").exists()
 
 
@@ -173,7 +173,7 @@ def test_a_table_of_deflections_says_what_its_sheets_do(
     # Beside a sheet, whose scene it is of.
     both = run("identify", filled(sheet), "--table", table, "--accept-misfit", "--force")
     assert both.status == 0, both.err
-    assert "Weight of 2.5 kg" in both.out
+    assert "Assumes 2.5 kg (weight_kg)" in both.out
 
 
 @pytest.mark.parametrize(

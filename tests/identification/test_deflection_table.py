@@ -20,10 +20,12 @@ from cmbot.elastic.modes import arm_modes
 from cmbot.identification import (
     Measurements,
     MeasuringSetup,
+    estimate,
     identify,
     measured_arm,
     read_deflections,
     read_measurements,
+    remarks,
 )
 from cmbot.identification.model import DeflectionModel
 
@@ -317,3 +319,19 @@ def test_most_frequencies_of_a_posture_are_of_a_mode(
     with pytest.raises(InputError, match=r"2 of 3 frequencies.* a wrong weight_kg") as error:
         identify(content)
     assert f"the slowest of {modes[0]:.3g} Hz" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("deflection", "gauge", "told"),
+    [(-3.01, None, "state --gauge 0.01."), (-3.1, None, ""), (-3.01, 0.1, "")],
+)
+def test_an_error_of_the_gauge_that_is_not_stated_is_that_of_its_steps(
+    deflection: float, gauge: float | None, told: str, scene: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, f"{JOINTS},kg,dz", row(5, deflection))
+    (line,) = (
+        line
+        for line in remarks(estimate(read_deflections(path, scene, gauge_sd_mm=gauge)))
+        if "a gauge's error of 0.1 mm" in line
+    )
+    assert line.endswith(told or "one standard deviation.")

@@ -199,7 +199,7 @@ def test_a_base_far_from_its_model_needs_a_wider_prior(
 def test_what_a_weight_does_not_tell_of_the_base_is_explained(
     found: tuple[benchmark.Truth, ElasticArm, Identification],
 ) -> None:
-    rows = [row[0] for row in identified_rows(found[2]) if row[-1] == "not seen"]
+    rows = [row[0] for row in identified_rows(found[2]) if row[-1] == "not seen: no finding"]
     assert {"base along x, N/m", "base along y, N/m"} & {*rows}
     assert any("A hanging weight hardly moves a base along x, y" in line for line in remarks(found[2]))
 
@@ -282,7 +282,7 @@ def test_nothing_measured_of_a_joint_keeps_its_prior(
     k = [name for _, name in identified.parameters.springs].index("joint_7")
     assert identified.covariance[k, k] == pytest.approx(identified.prior[k] ** 2, rel=0.05)
     rows = {row[0]: row for row in identified_rows(identified)}
-    assert rows["joint_7, Nm/rad"][-1] == "not seen"
+    assert rows["joint_7, Nm/rad"][-1] == "not seen: no finding"
     assert len(rows) == 4 + 7 + 6
     assert any("joint_7" in line and "Not seen" in line for line in remarks(identified))
 
