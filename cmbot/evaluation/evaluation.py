@@ -235,7 +235,8 @@ def evaluate(
         In place of the scene's own. With ``compensate: auto`` the tool that is held to the path is the bent
         arm's where that is nearer to it than the rigid arm's.
     plan : Plan, optional
-        Of the same scene, beside which it is told; strokes then have the timing that was planned.
+        Of the same scene, beside which it is told; strokes then have the timing that was planned. The motion
+        of a plan directory has its own, where the scene has that plan's strokes.
 
     Raises
     ------
@@ -257,8 +258,9 @@ def evaluate(
     if motion.q.shape[1] != robot.dof:
         got = counted(motion.q.shape[1], "column")
         raise InputError("cmbot.evaluate", "q", got, f"{robot.dof}, one for each joint of the arm")
-    if plan is None:
-        strokes = strokes_of(scene, robot)
+    timed = _timed_as(motion, scene)
+    if plan is None or timed is not scene:
+        strokes = strokes_of(timed, robot)
         names = [stroke.name for stroke in strokes]
         tasks = [task_of(stroke, scene) for stroke in strokes]
     else:
@@ -286,6 +288,16 @@ def evaluate(
         plan=plan,
         planned_bending=None if plan is None else _planned_bending(plan),
     )
+
+
+def _timed_as(motion: JointMotion, scene: Scene) -> Scene:
+    """The scene with the time laws of the plan whose motion it is, where that has the same strokes else."""
+    planned = [
+        each.changed(time_laws=None, via_points=own.via_points)
+        for each, own in zip(motion.strokes, scene.strokes, strict=False)
+    ]
+    same = motion.strokes and tuple(planned) == scene.strokes
+    return scene.with_strokes(motion.strokes, scene.order) if same else scene
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, Any]:

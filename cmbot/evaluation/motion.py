@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
+from cmbot.scene import StrokeFile
 from cmbot.trajectory import QuinticTrajectory
 
 # Times in each interval at which two curves are compared.
@@ -28,6 +29,8 @@ class JointMotion:
         Where they are given.
     unknown : tuple of str
         What of a file was not read: columns, joints that are none of the arm's.
+    strokes : tuple of StrokeFile
+        Of the plan whose motion it is, with the time laws that it chose; empty: it is of no plan.
     """
 
     t: FloatArray
@@ -35,6 +38,7 @@ class JointMotion:
     v: FloatArray | None = None
     a: FloatArray | None = None
     unknown: tuple[str, ...] = ()
+    strokes: tuple[StrokeFile, ...] = ()
 
     __repr__ = short_repr
 

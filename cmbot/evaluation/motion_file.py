@@ -33,7 +33,7 @@ def read_motion(path: str | Path, robot: Robot) -> JointMotion:
     A table has a column of times, ``t``, s, and one for each joint, by its name in rad, of joints that slide
     in m, or with the suffix ``_deg``, or ``q1`` and so on; ``v1`` and ``a1`` and so on are velocities and
     accelerations. A ``trajectory_msgs/JointTrajectory`` may stand alone or in the message of a goal or of
-    MoveIt. A plan directory has its job.
+    MoveIt. A plan directory has its job, and the time laws that were chosen for it.
 
     Parameters
     ----------
@@ -49,11 +49,12 @@ def read_motion(path: str | Path, robot: Robot) -> JointMotion:
     """
     path = Path(path)
     if is_folder(path):
-        motion = load_plan(path).job.trajectory
+        plan = load_plan(path)
+        motion = plan.job.trajectory
         if motion.q.shape[1] != robot.dof:
             got = f"a plan of {counted(motion.q.shape[1], 'joint')}"
             raise InputError(str(path), "", got, f"one of the scene's arm with {counted(robot.dof, 'joint')}")
-        return JointMotion(t=motion.t, q=motion.q, v=motion.v, a=motion.a)
+        return JointMotion(t=motion.t, q=motion.q, v=motion.v, a=motion.a, strokes=plan.scene.strokes)
     if path.suffix.lower() == ".json":
         return _from_message(_json(path), str(path), robot)
     if path.suffix.lower() in (".yaml", ".yml"):

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import output, refusal
+from small_scenes import short_scene
 
-from cmbot.archive import export_ros
+from cmbot.archive import export_ros, save
 from cmbot.common.errors import InputError
 from cmbot.evaluation import JointMotion, evaluate, evaluation_json, read_motion
 from cmbot.planning import MotionMetrics, Plan, plan
@@ -59,6 +60,28 @@ def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, s
     t = table.t[::7]
     np.testing.assert_allclose(table.trajectory.evaluate(t), knots.trajectory.evaluate(t), atol=1e-8)
     _require_same(evaluate(short_plan.scene, knots).job.figures, short_plan.job.figures)
+
+
+def test_a_plan_directory_has_the_time_laws_that_were_chosen(tmp_path: Path) -> None:
+    """The scene leaves them to planning; with other strokes, or by its table alone, the motion has none."""
+    scene = short_scene(tool_path={"speed_profile": {"kind": "quiet", "ramp": 0.3}})
+    made = plan(scene)
+    assert made.scene.strokes[0].time_laws and not scene.strokes[0].time_laws
+    save(made, tmp_path / "made")
+    own, table = (
+        evaluate(scene, read_motion(each, made.robot))
+        for each in (tmp_path / "made", tmp_path / "made" / "job.csv")
+    )
+    assert not own.broken and not own.untimed
+    assert own.job.stroke_figures.max_tool_lag == pytest.approx(made.figures.max_tool_lag, abs=1e-9)
+    assert table.job.stroke_figures.max_tool_lag > 10 * made.figures.max_tool_lag
+    longer = short_scene(
+        tool_path={
+            "speed_profile": {"kind": "quiet", "ramp": 0.3},
+            "legs": [{"by": [0, -0.3, 0], "seconds": 8}],
+        }
+    )
+    assert evaluate(longer, read_motion(tmp_path / "made", made.robot)).untimed == ("work",)
 
 
 def test_a_motion_of_toppra_in_another_timing() -> None:
