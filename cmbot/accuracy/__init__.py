@@ -9,6 +9,10 @@ from cmbot.accuracy.budget import (
     WorkPath as WorkPath,
     accuracy_of as accuracy_of,
 )
-from cmbot.accuracy.parts import Part as Part, parts_of as parts_of
+from cmbot.accuracy.parts import (
+    Part as Part,
+    assumed_in_words as assumed_in_words,
+    parts_of as parts_of,
+)
 from cmbot.accuracy.quietness import Quietness as Quietness, quietness_of as quietness_of
 from cmbot.accuracy.sway import Sway as Sway, stroke_sway as stroke_sway, sway_along as sway_along

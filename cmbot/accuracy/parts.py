@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import Placement, Uncertainty
+from cmbot.scene import Placement, Scene, Uncertainty
 
 PartName = Literal[
     "sag",
@@ -30,6 +31,17 @@ PartName = Literal[
     "payload",
     "temperature",
 ]
+# Of a scene's `uncertainty`, which say how large a part is.
+_KEYS: dict[str, str] = {
+    "stiffness": "stiffness_share",
+    "placement of the base": "foot",
+    "placement of the workpiece": "workpiece",
+    "joint calibration": "joints.calibration_deg",
+    "backlash": "joints.backlash_arcmin",
+    "friction": "joints.friction_share",
+    "payload": "payload_kg",
+    "temperature": "temperature_k",
+}
 
 # Expansion of tubes, 1/K: of steel, and of what has less than this modulus of elasticity, Pa, aluminium.
 _STEEL, _ALUMINIUM, _STEELS_MODULUS = 12e-6, 23e-6, 1.5e11
@@ -119,6 +131,16 @@ def parts_of(
     if uncertainty.temperature_k and robot.elasticity:
         maps = _bowed(robot, q, tool, uncertainty.temperature_k)
         yield Part(name="temperature", bias=nothing, maps=maps, is_uniform=True)
+
+
+def assumed_in_words(part: str, scene: Scene) -> str | None:
+    """Return value and key of what makes a part of the error, where it is the default; else None."""
+    key = _KEYS.get(part)
+    if key is None or (part == "stiffness" and scene.identified is not None):
+        return None
+    value, default = map(attrgetter(key), (scene.uncertainty, Uncertainty()))
+    words = f"{value.mm:g} mm, {value.deg:g} deg" if isinstance(value, Placement) else f"{value:g}"
+    return f"{words}: uncertainty.{key}" if value == default else None
 
 
 def _stiffness(

@@ -372,7 +372,7 @@ def require_fit(found: Identification) -> None:
 def _require_held(found: Identification) -> None:
     """Refuse a weight that a joint of the arm cannot hold in its posture."""
     robot = found.modelled.robot
-    bound = robot.limits.torque
+    bound = np.where(robot.limits.assumed_torque, np.inf, robot.limits.torque)
     for sheet in found.measurements:
         rows, kg = np.flatnonzero(np.isfinite(sheet.deflection).any(axis=1)), sheet.setup.weight_kg
         if not len(rows):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cmbot.accuracy import assumed_in_words
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import given_path
 from cmbot.elastic import elastic_base
@@ -34,7 +35,6 @@ from cmbot.planning import (
     verdict,
 )
 from cmbot.robot import postures_in_words
-from cmbot.scene import Uncertainty
 from cmbot.simulation import (
     Tracking,
     base_movement,
@@ -330,7 +330,8 @@ def _accuracy_card(plan: Plan) -> Headline | None:
     detail = f"with {100 * accuracy.probability:g} %, all along the work"
     if accuracy.parts:
         part, share = accuracy.parts[0].name, 100 * accuracy.shares[0]
-        by = ", as assumed (uncertainty)" if plan.scene.uncertainty == Uncertainty() else ""
+        assumed = assumed_in_words(part, plan.scene)
+        by = f", as assumed ({assumed})" if assumed else ""
         detail += f"; largest part: {part}, {share:.0f} % of the mean square{by}"
     planned, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.compensation is not None else "rigid arm"

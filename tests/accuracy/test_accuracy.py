@@ -13,7 +13,7 @@ from finite_differences import finite_difference
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.accuracy import Part, Shaking, parts_of, sway_along
+from cmbot.accuracy import Part, Shaking, assumed_in_words, parts_of, sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag, TooSoftError
@@ -258,14 +258,29 @@ def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     said = verdict(bent)
     assert said.startswith(
         f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; "
-        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square, "
-        "as assumed (uncertainty of the scene)."
+        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square. "
     )
     assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.
     compensated = plan(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}), progress=False)
     promised = next(each.within_mm for each in accuracy.remedies if each.name == "compensate: true")
     assert compensated.accuracy.within_mm == pytest.approx(promised, rel=0.05)
+    assert compensated.accuracy.parts[0].name == "placement of the base"
+    assert "of the mean square, as assumed (2 mm, 0.2 deg: uncertainty.foot). " in verdict(compensated)
+
+
+def test_what_is_assumed_is_said_with_its_value_and_key() -> None:
+    default, other = short_scene(), short_scene(uncertainty={"foot": {"mm": 1}, "payload_kg": 2})
+    said = {
+        "placement of the base": "2 mm, 0.2 deg: uncertainty.foot",
+        "joint calibration": "0.02: uncertainty.joints.calibration_deg",
+        "payload": "1: uncertainty.payload_kg",
+        "stiffness": "0.3: uncertainty.stiffness_share",
+        "sag": None,
+    }
+    assert {part: assumed_in_words(part, default) for part in said} == said
+    own = {"placement of the base": None, "payload": None}
+    assert {part: assumed_in_words(part, other) for part in said} == said | own
 
 
 def test_plan_json_has_the_budget(bent: Plan, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from cmbot.accuracy import assumed_in_words
 from cmbot.common.limit import Limit
 from cmbot.elastic import elastic_base
 from cmbot.planning.job import RETURN
@@ -28,7 +29,7 @@ from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
 from cmbot.planning.workcell.workcell import held_guardrail, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
-from cmbot.scene import STOW, Uncertainty, start_entry
+from cmbot.scene import STOW, start_entry
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
 _MIN_GAIN_SHARE, _NEAR_BOUND = 1e-2, 1e-2
@@ -97,7 +98,7 @@ def _first(plan: Plan) -> Iterator[Note]:
             "probability": accuracy.probability,
             "part": accuracy.parts[0].name if accuracy.parts else None,
             "part_share": accuracy.shares[0] if accuracy.parts else None,
-            "assumed": plan.scene.uncertainty == Uncertainty(),
+            "assumed": assumed_in_words(accuracy.parts[0].name, plan.scene) if accuracy.parts else None,
             "kept": accuracy.tolerance_kept,
             "share": accuracy.tolerance_share,
             "across_mm": tolerance and tolerance.across_mm,

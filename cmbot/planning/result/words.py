@@ -127,7 +127,7 @@ def _tool(note: Any) -> str:
         text += f"{100 * note.share:.3g} % of cases, asked {100 * note.probability:.3g} %)"
     if note.part is None:
         return f"{text}."
-    by = ", as assumed (uncertainty of the scene)" if note.assumed else ""
+    by = f", as assumed ({note.assumed})" if note.assumed else ""
     return f"{text}; largest part: {note.part}, {100 * note.part_share:.0f} % of the mean square{by}."
 
 
