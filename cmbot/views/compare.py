@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.linalg import eigvalsh
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.installation import shipped_scenes
 from cmbot.common.reading.validation import counted
 from cmbot.elastic import Guardrail, elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
@@ -110,12 +112,17 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
             told.append(f"in {name} {', '.join(found)}")
     if not told:
         return ()
-    measured = next((name for name, each in plans.items() if each.scene.identified is not None), None)
-    judge = first if measured is None else f"{measured}, which was measured,"
+    judge, by = next((each for each in plans.items() if each[1].scene.identified is not None), (first, plan))
+    called, moved = next(each for each in plans.items() if each[0] != judge)
+    # A plan that was read has its file for a source.
+    read, scene = Path(moved.scene.source), by.scene.name
+    folder = str(read.parent) if read.suffix == ".json" else called
+    command = f"cmbot evaluate {scene if scene in shipped_scenes() else f'{scene}.yaml'} --motion {folder}"
+    measured = ", which was measured" * (by.scene.identified is not None)
     return (
         f"Beside {first}, {'; '.join(told)}.",
-        "Torque, sag and sway may differ by that alone: cmbot evaluate SCENE --motion DIR, the scene of "
-        f"{judge} and another's folder, tells more.",
+        f"Torque, sag and sway may differ by that alone: {command} judges the motion of {called} by the "
+        f"scene of {judge}{measured}.",
     )
 
 

@@ -203,15 +203,16 @@ def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, 
     assert "Beside <one>, in soft the stiffness of the guardrail is 0.5 times as large; in loaded" in said
     assert "the payload, kg, is 2 in place of 0" in said
     assert "of the links nothing bends" in said
-    assert "cmbot evaluate SCENE --motion DIR, the scene of <one>" in todo
+    command = "cmbot evaluate short.yaml --motion soft judges the motion of soft by the scene of <one>."
+    assert todo.endswith(command)
+    read = {"one": plan, "soft": replace(soft, scene=soft.scene.with_source("out/soft/plan.json"))}
+    assert "cmbot evaluate short.yaml --motion out/soft judges" in unlike(read)[1]
     # The stiffness that was measured judges the other's motion.
     link = {"name": "link_1", "modelled": 1e4, "factor": 1.0}
     known = IdentifiedStiffness.model_validate({"links": (link,), "covariance": ((0.01,),)})
     measured = replace(soft, scene=soft.scene.model_copy(update={"identified": known}))
-    assert (
-        "the scene of soft, which was measured, and another's folder"
-        in unlike({"one": plan, "soft": measured})[1]
-    )
+    judged = unlike({"one": plan, "soft": measured})[1]
+    assert judged.endswith("--motion one judges the motion of one by the scene of soft, which was measured.")
     page = compare_page({"<one>": plan, "soft": soft})
     for other, ranked in ((plan, True), (soft, False)):
         (card,) = re.findall(r"<h2>Tool within</h2>.*?</article>", compare_page({"one": plan, "two": other}))
