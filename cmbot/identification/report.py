@@ -347,7 +347,7 @@ def require_fit(found: Identification) -> None:
         if wrong[0].label.kind == "deflection_mm":
             todo = _mistaken(found, wrong[0]) or _SLIP
         raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
-    for part in filter(_plain, found.parts):
+    for part in _plain(found.parts):
         source, key = found.measurements[0].source, "measurements"
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
@@ -443,7 +443,7 @@ def _mistaken(found: Identification, slip: Slip | None = None) -> str:
         with suppress(InputError):
             trial = estimate([replace(sheet, deflection=part) for sheet, part in parts], found.modelled)
             wrong, before = (sum(slip.significant for slip in each.slips) for each in (trial, found))
-            if not any(map(_plain, trial.parts)) and (wrong < before or not wrong):
+            if not _plain(trial.parts) and (wrong < before or not wrong):
                 return words
     robot = found.modelled.robot
     frames = (name for name, X_TF in _other_frames(robot) if np.linalg.norm(X_TF.translation) > _ZERO_M)
@@ -482,9 +482,15 @@ def _mistakes() -> Iterator[tuple[str, list[int], list[float]]]:
         yield words, [0, 1, 2], [-1.0 if axis in axes else 1.0 for axis in "xyz"]
 
 
-def _plain(part: Part) -> bool:
-    """Whether errors are larger by more than is taken for chance."""
-    return part.scale > _MAX_ERROR_RATIO and part.probability <= _PLAIN_MISFIT
+def _plain(parts: Sequence[Part]) -> list[Part]:
+    """Those whose errors are larger by more than is taken for chance.
+
+    Frequencies that contradict an arm far from its model do so twice, as by a wrong weight.
+    """
+    twice = {part.kind for part in parts if part.scale > 1} >= {"prior", "frequencies_hz"}
+    levels = (1.0 if twice and part.kind == "frequencies_hz" else _PLAIN_MISFIT for part in parts)
+    pairs = zip(parts, levels, strict=True)
+    return [part for part, p in pairs if part.scale > _MAX_ERROR_RATIO and part.probability <= p]
 
 
 def proposal_remarks(found: Proposal) -> Iterator[str]:

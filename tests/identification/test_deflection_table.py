@@ -20,12 +20,14 @@ from cmbot.elastic.modes import arm_modes
 from cmbot.identification import (
     Measurements,
     MeasuringSetup,
+    Part,
     estimate,
     identify,
     measured_arm,
     read_deflections,
     read_measurements,
     remarks,
+    require_fit,
 )
 from cmbot.identification.model import DeflectionModel
 
@@ -335,3 +337,15 @@ def test_an_error_of_the_gauge_that_is_not_stated_is_that_of_its_steps(
         if "a gauge's error of 0.1 mm" in line
     )
     assert line.endswith(told or "one standard deviation.")
+
+
+def test_frequencies_that_contradict_an_arm_far_from_its_model_are_refused(scene: str) -> None:
+    """What chance does now and then in one part, it hardly does in two for one reason."""
+    content, modes = folded(scene)
+    content["measurements"][0]["frequencies_hz"] = modes[:3].tolist()
+    found = identify(content)
+    worse = Part(kind="frequencies_hz", square=36.0, redundancy=1.0, probability=0.005, scale=6.0)
+    prior = Part(kind="prior", square=20.0, redundancy=10.0, probability=0.005)
+    require_fit(replace(found, parts=(worse, prior)))
+    with pytest.raises(InputError, match=r"true weight_kg"):
+        require_fit(replace(found, parts=(worse, replace(prior, scale=1.4))))
