@@ -119,6 +119,8 @@ def of_plan(plan: Plan) -> Known:
     if (accuracy := plan.accuracy) is not None:
         yield 100 * accuracy.probability, "%"
         yield from ((100 * share, "%") for share in accuracy.shares)
+        for placed in (plan.scene.uncertainty.foot, plan.scene.uncertainty.workpiece):
+            yield from ((placed.mm, "mm"), (placed.deg, "deg"))
         yield from (
             (value, "mm") for value in (accuracy.within_mm, *(r.within_mm for r in accuracy.remedies))
         )
