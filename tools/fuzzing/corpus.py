@@ -202,8 +202,8 @@ def _measured_files(folder: Path) -> Files:
     robot = small_scene()["robot"] | {"elasticity": "arm.elasticity.yaml"}
     scene = small_scene(robot=robot, guardrail={"bays": 1})
     t = 0.005 * np.arange(400)
-    tap = np.exp(-0.6 * t) * np.sin(2 * np.pi * 6.0 * t) + 0.3 * np.exp(-1.1 * t) * np.sin(
-        2 * np.pi * 9.0 * t
+    tap = np.exp(-0.6 * t) * np.sin(2 * np.pi * 10.4 * t) + 0.3 * np.exp(-1.1 * t) * np.sin(
+        2 * np.pi * 15.4 * t
     )
     table = np.column_stack([t, tap, 0.5 * tap, -0.2 * tap])
     measurements = {
@@ -220,7 +220,7 @@ def _measured_files(folder: Path) -> Files:
             {
                 "posture": [0.42, 1.23, -0.97, 0.81, 0.86, 0.0, 0.81],
                 "deflection_mm": [None, None, -1.86],
-                "frequencies_hz": [5.9, 7.4],
+                "frequencies_hz": [10.7, 15.6],
             },
             {"posture_deg": [29, 63, -48, 42, 52, -14, 45], "record": "tap.csv"},
         ],
