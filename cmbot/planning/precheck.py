@@ -440,19 +440,19 @@ def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
 
 def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
     """Yield the workpieces that the tip may touch, and a path holds it in: nothing else keeps it out."""
-    times, ends = stroke.via_times, stroke.path.leg_times
-    tip, ahead = stroke.path.position(times), stroke.path.rotation(times)[..., 2]
+    times, path = stroke.via_times, stroke.path
+    tip, ahead = path.position(times), path.rotation(times)[..., 2]
     for obstacle in (each for each in scene.all_obstacles if each.contact):
         back = np.linspace(0.0, obstacle.contact, _TIP_PLACES)
         places = tip[:, None] - back[:, None] * np.broadcast_to(ahead, tip.shape)[:, None]
         inside = obstacle.contains(places.reshape(-1, 3)).reshape(len(tip), -1).mean(axis=1)
         k = int(inside.argmax())
         if (length := obstacle.contact * inside[k]) > _MOST_PRESSED_M:
-            leg = int(np.clip(np.searchsorted(ends, times[k]) - 1, 0, len(ends) - 2))
             where = ", ".join(f"{x:.3f}" for x in tip[k])
             got = f"{1e3 * length:.0f} mm of the tip in {obstacle.name}, the tool point at ({where}) m"
             expected = f"at most {1e3 * _MOST_PRESSED_M:g} mm, by which a tool is pressed"
-            yield Finding(severity="error", key=stroke.leg_key(leg), got=got, expected=expected)
+            key = stroke.leg_key(path.leg_to(float(times[k])))
+            yield Finding(severity="error", key=key, got=got, expected=expected)
 
 
 def _speeds(path: ToolPath) -> FloatArray:

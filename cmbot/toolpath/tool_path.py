@@ -369,6 +369,10 @@ class ToolPath(ShortRepr):
             times[which] = self.leg_times[leg[which]] + segment.law.time_share(share[which]) * segment.seconds
         return times
 
+    def leg_to(self, time: float) -> int:
+        """Return the leg that leads to a time, s: at the end of one, that one."""
+        return int(np.clip(np.searchsorted(self.leg_times, time) - 1, 0, len(self.segments) - 1))
+
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""
         law, corners = self.segments[0].law, np.repeat(self.corners[:1], 2, axis=0)

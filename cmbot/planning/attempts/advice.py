@@ -58,9 +58,9 @@ def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
     factors = np.ones(len(request.task.path.seconds))
     match failure:
         case NoWay():
-            factors[_leg(request, failure.time)] = failure.pace
+            factors[request.task.path.leg_to(failure.time)] = failure.pace
         case Uncertified(broken=JointRate(order=order, ratio=ratio)) if order:
-            factors[_leg(request, failure.time)] = ratio ** (1 / order)
+            factors[request.task.path.leg_to(failure.time)] = ratio ** (1 / order)
         case NoTrajectory(broken=OtherLimit(what=Limit.LEAP)):
             return None
         case NoTrajectory():
@@ -217,12 +217,6 @@ def _factors(request: StrokeRequest, trajectory: QuinticTrajectory | None) -> Fl
         share = np.abs(trajectory.extrema(order).value).max(axis=2) / bound
         needed = np.maximum(needed, share.max(axis=1) ** (1 / order))
     return np.array([needed[(middles >= a) & (middles < b)].max(initial=0.0) for a, b in pairwise(edges)])
-
-
-def _leg(request: StrokeRequest, time: float) -> int:
-    """The leg that leads to a time."""
-    edges = request.task.path.leg_times
-    return int(np.clip(np.searchsorted(edges, time) - 1, 0, len(edges) - 2))
 
 
 def _rounded_up(value: float) -> float:

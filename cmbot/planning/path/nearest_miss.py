@@ -57,8 +57,7 @@ class NearestMiss:
     @property
     def key(self) -> str:
         """The key of the leg that leads there."""
-        stroke, edges = self.request.stroke, self.request.task.path.leg_times
-        return stroke.leg_key(int(np.clip(np.searchsorted(edges, self.time) - 1, 0, len(edges) - 2)))
+        return self.request.stroke.leg_key(self.request.task.path.leg_to(self.time))
 
     @property
     def where(self) -> str:
