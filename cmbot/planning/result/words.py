@@ -172,10 +172,11 @@ def _base(note: Any) -> str:
         text += f", {_against(note.peak_nm, note.baseline_nm)}"
         gain = 1 - note.peak_nm / note.baseline_nm
         if SAME < gain < _SMALL_GAIN_SHARE:
-            is_calmer = note.swings and note.swings[1] > max(_CALMER_FACTOR * note.swings[0], _SEEN_MM)
-            after, before = (f"{swing:.3f}" for swing in note.swings or (0.0, 0.0))
-            calmer = f", but after the stop the tool swings by {after} in place of {before} mm"
-            text += calmer if is_calmer else ": hardly anything is gained"
+            after, before = note.swings or (0.0, 0.0)
+            if before > max(_CALMER_FACTOR * after, _SEEN_MM):
+                text += f", but after the stop the tool swings by {after:.3f} in place of {before:.3f} mm"
+            else:
+                text += ": hardly anything is gained"
         elif _SMALL_GAIN_SHARE <= gain < _COSTED_GAIN_SHARE and note.further >= _TRAVEL_FACTOR:
             text += f", with joints that travel {note.further:.1f} times as far at work"
     if note.work_nm is not None:

@@ -42,12 +42,9 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     holds = [("guardrail", hold) for hold in scene.guardrail.hold or ()]
     holds += [("base", scene.base.hold)] if scene.base and scene.base.hold else []
     for block, hold in holds:
-        for key, forces in (
-            ("adhesion_n", (hold.adhesion_n or np.inf,)),
-            ("force_n", hold.force_n or (np.inf,)),
-        ):
-            if max(forces) < _LEAST_HOLD_N:
-                yield f"{block}.hold.{key}", "kN", "N"
+        for name, most in (("adhesion_n", hold.adhesion_n), ("force_n", hold.force_n and max(hold.force_n))):
+            if most is not None and most < _LEAST_HOLD_N:
+                yield f"{block}.hold.{name}", "kN", "N"
     for obstacle in _own(scene):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
             yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"
