@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -26,8 +26,6 @@ _MAX_GOALS = 40
 _MAX_START_GROWTHS = 1500
 # Postures of a chart are neighbours within this many spacings.
 _NEAR_SPACINGS = 1.6
-
-_Way = Callable[[FreeSpace], FloatArray | None]
 
 
 def plan_approach(
@@ -62,39 +60,29 @@ def plan_approach(
     PathNotFound
         When nothing leads there.
     """
-    return plan_move(request, *_sought(request, end, chart, way, allowed, dispensable))
+    return plan_move(request, _move(request, end, chart, way, allowed, dispensable))
 
 
 def approach_way(
     request: StrokeRequest, end: FloatArray, chart: FloatArray, *, dispensable: bool = False
 ) -> FloatArray:
     """Return a free broken line (k, n) on which an approach may lead to `end` (n,), as `plan_approach`."""
-    return find_way(request, *_sought(request, end, chart, None, 0.0, dispensable))
+    return find_way(request, _move(request, end, chart, None, 0.0, dispensable))
 
 
-def _sought(
+def _move(
     request: StrokeRequest,
     end: FloatArray,
     chart: FloatArray,
     way: FloatArray | None,
     allowed: float,
     dispensable: bool,
-) -> tuple[FreeMove, _Way, _Way]:
-    """An approach, its way along the self-motion, and the way to it that is known."""
-    move = FreeMove(
-        name=free_move_name(request.number),
-        start=request.state.posture,
-        end=end,
-        start_name=_before_in_words(request),
-        end_name="the start of the work" if request.number == 0 else f"the start of {request.stroke.name}",
-        begin=request.state.begin,
-        allowed=max(allowed, request.state.reached),
-        most_growths=_MAX_START_GROWTHS if dispensable else MOST_GROWTHS,
-    )
-    spacing = request.cell.options.chart_spacing
+) -> FreeMove:
+    """An approach, its way along the self-motion first."""
+    start, spacing = request.state.posture, request.cell.options.chart_spacing
 
     def along_chart(space: FreeSpace) -> FloatArray | None:
-        return _along_chart(space, np.stack([move.start, end]), chart, spacing)
+        return _along_chart(space, np.stack([start, end]), chart, spacing)
 
     def known(space: FreeSpace) -> FloatArray | None:
         if way is None:
@@ -103,7 +91,18 @@ def _sought(
         rest = _along_chart(space, np.stack([way[-1], end]), turned, spacing)
         return None if rest is None else np.vstack([way, rest[1:]])
 
-    return move, along_chart, known
+    return FreeMove(
+        name=free_move_name(request.number),
+        start=start,
+        end=end,
+        start_name=_before_in_words(request),
+        end_name="the start of the work" if request.number == 0 else f"the start of {request.stroke.name}",
+        begin=request.state.begin,
+        allowed=max(allowed, request.state.reached),
+        most_growths=_MAX_START_GROWTHS if dispensable else MOST_GROWTHS,
+        first=along_chart,
+        known=known,
+    )
 
 
 def _before_in_words(request: StrokeRequest) -> str:

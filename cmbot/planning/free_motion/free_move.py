@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -44,6 +44,14 @@ _LEAST_PERIODS = 3.0
 _ZERO_OBJECTIVE = 1e-9
 
 
+Way = Callable[[FreeSpace], FloatArray | None]
+"""From the free space to a path (k, n) in it between the ends of a move, or None."""
+
+
+def _nothing(_: FreeSpace) -> None:
+    return None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FreeMove:
     """A free move to be planned.
@@ -61,6 +69,10 @@ class FreeMove:
         Value of the objective that the rest of the job reaches anyway.
     most_growths : int
         Of the trees that seek it: fewer where there is something else to do.
+    first : callable
+        A `Way` that is tried before the straight one.
+    known : callable
+        A `Way` that is taken, shortened, where the straight one is not free.
     """
 
     name: str
@@ -71,14 +83,11 @@ class FreeMove:
     begin: float = 0.0
     allowed: float = 0.0
     most_growths: int = MOST_GROWTHS
+    first: Way = _nothing
+    known: Way = _nothing
 
 
-def plan_move(
-    request: StrokeRequest,
-    move: FreeMove,
-    first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
-    known: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
-) -> Segment:
+def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     """Plan a free move: straight in joint space where that is free, else on any free path.
 
     Where the objective at rest would exceed both its value at the ends and what is allowed, a path is sought
@@ -88,10 +97,6 @@ def plan_move(
     ----------
     request : StrokeRequest
     move : FreeMove
-    first : callable
-        From the free space to a path (k, n) between the ends that is tried before the straight one, or None.
-    known : callable
-        The same of a path that is taken, shortened, where the straight one is not free.
 
     Raises
     ------
@@ -102,11 +107,8 @@ def plan_move(
     space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME_OBJECTIVE_SHARE) * max(move.allowed, *space.cost(ends))
-    given = first(space)
-    stop = partial(request.deadline.expired, MORE_TIME)
-    path = _path(space, ends, given, known, allowed, stop, move.most_growths)
-    if path is None:
-        raise _unconnected(request, space, move)
+    given = move.first(space)
+    path = _least(request, space, _ways(request, space, move, given), allowed)
     held = request.task.held_at_start()
     for halving in range(_MAX_SPACING_HALVINGS):
         trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
@@ -137,20 +139,11 @@ def plan_move(
     )
 
 
-def find_way(
-    request: StrokeRequest,
-    move: FreeMove,
-    first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
-    known: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
-) -> FloatArray:
+def find_way(request: StrokeRequest, move: FreeMove) -> FloatArray:
     """Return a broken line (k, n) in free space between the ends of a move, with errors as `plan_move`."""
     request = request.tool_off
-    space, ends = _space_around(request, move), np.stack([move.start, move.end])
-    stop = partial(request.deadline.expired, MORE_TIME)
-    found = _ways(space, ends, first(space), known, stop, move.most_growths)
-    if not found:
-        raise _unconnected(request, space, move)
-    return found[0]
+    space = _space_around(request, move)
+    return _ways(request, space, move, move.first(space))[0]
 
 
 def certify_move(
@@ -236,43 +229,33 @@ def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> Pa
     return request.path_not_found(reason, move.start, pair=pair, stopped=stopped)
 
 
-def _path(
-    space: FreeSpace,
-    ends: FloatArray,
-    given: FloatArray | None,
-    known: Callable[[FreeSpace], FloatArray | None],
-    allowed: float,
-    stop: Callable[[], bool],
-    most_growths: int,
-) -> FloatArray | None:
-    """A free path (k, n): the first whose peak is allowed, else one whose peak is as low as was found."""
-    found = _ways(space, ends, given, known, stop, most_growths)
+def _least(
+    request: StrokeRequest, space: FreeSpace, found: Sequence[FloatArray], allowed: float
+) -> FloatArray:
+    """The first path (k, n) whose peak is allowed, else one whose peak is as low as was found."""
     for path in found:
         if space.peak(path) <= allowed:
             return path
-    if not found:
-        return None
+    stop = partial(request.deadline.expired, MORE_TIME)
     path = lower_peak(space, min(found, key=space.peak), allowed, stop)
     return space.below(max(allowed, space.peak(path))).shorten(path)
 
 
 def _ways(
-    space: FreeSpace,
-    ends: FloatArray,
-    given: FloatArray | None,
-    known: Callable[[FreeSpace], FloatArray | None],
-    stop: Callable[[], bool],
-    most_growths: int,
+    request: StrokeRequest, space: FreeSpace, move: FreeMove, given: FloatArray | None
 ) -> list[FloatArray]:
-    """Free paths (k, n), those that were found at once or, without any, one that trees lead along."""
+    """Free paths (k, n), those that are found at once or, without any, one that trees lead along."""
     found = [] if given is None else [given]
-    if space.straight(ends[0], ends[1]):
-        found.append(ends)
+    if space.straight(move.start, move.end):
+        found.append(np.stack([move.start, move.end]))
     if not found:
-        path = known(space)
+        path = move.known(space)
         if path is None or not space.holds(path).all():
-            path = rrt_connect(space, ends[0], ends[1:], stop, most_growths)
-        found = [] if path is None else [space.shorten(path)]
+            stop = partial(request.deadline.expired, MORE_TIME)
+            path = rrt_connect(space, move.start, move.end[None], stop, move.most_growths)
+        if path is None:
+            raise _unconnected(request, space, move)
+        found = [space.shorten(path)]
     return found
 
 

@@ -129,7 +129,7 @@ def arm_move(
         return None
     request = build_request(scene_at(scene, node, start), scene.planner)
     move = _named("arm", start, end, "the counterweight's posture")
-    segment = plan_move(request, move, known=partial(_given, way))
+    segment = plan_move(request, replace(move, known=partial(_given, way)))
     robot = request.cell.robot.tool_off
     return Move(kind="arm", robot=robot, holds=node.feet, node=node, arm=start, segment=segment)
 
@@ -186,7 +186,8 @@ def plan_step(
     moves = list[Move]()
     for kind, request, path in parts:
         move = _named(kind, path[0], path[-1], _ENDS[kind])
-        segment = plan_move(request, move, partial(_given, None if kind == "swing" else path))
+        first = partial(_given, None if kind == "swing" else path)
+        segment = plan_move(request, replace(move, first=first))
         slow = _slowed(request, segment, speed)
         holds = (other_foot(foot),)
         moves.append(
