@@ -38,9 +38,12 @@ class CannotBePutAway(PathNotFound):
     ----------
     use : float
         Largest share of what joints and feet bear that it takes there; infinite where it is in the way.
+    weakest : str
+        Which joint takes that, or `FEET`; empty where it is in the way.
     """
 
     use = np.inf
+    weakest = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,6 +142,11 @@ def _value(at_rest: AtRest) -> Callable[[FloatArray], tuple[FloatArray, FloatArr
     return function
 
 
+def cannot_hold(weakest: str, name: str) -> str:
+    """Return in words that a joint, or feet, cannot hold the arm in its ``stow`` or ``start`` posture."""
+    return f"{weakest} cannot hold the arm in its {name} posture"
+
+
 def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
     """Refuse a stance in which the arm cannot be where it starts or is put away: its base may be tilted."""
     cell = request.cell
@@ -149,10 +157,11 @@ def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
     ends = {back: request.end_posture, "stow" if stowed else "start": request.state.posture}
     for name, posture in ends.items():
         q = posture[None]
-        why, pair = "", None
+        why, pair, weakest = "", None, ""
         use = float(cell.use_at_rest(cell.postures.at(q))[0])
         if use > 1:
-            why = f"{weakest_joint(cell, q)} cannot hold the arm in its {name} posture"
+            weakest = weakest_joint(cell, q)
+            why = cannot_hold(weakest, name)
         elif not cell.clear(q)[0]:
             why, pair = (
                 f"the arm in its {name} posture comes too near to something",
@@ -161,5 +170,5 @@ def _require_put_away(scene: Scene, request: StrokeRequest) -> None:
         if why:
             singular = request.task.smallest_singular_value(cell.robot, posture)
             error = CannotBePutAway(why, time=0.0, progress=0.0, smallest_singular_value=singular, pair=pair)
-            error.use = np.inf if pair else use
+            error.use, error.weakest = np.inf if pair else use, weakest
             raise error

@@ -193,7 +193,7 @@ class StanceRanking(ShortRepr):
 def _remedy(why: Rejection, scene: Scene) -> str:
     """What would take away a reason, rounded up, so that it does; of magnets their adhesion, too."""
     times, holds = why.excess + 0.005, scene.guardrail.hold or ()
-    magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.cause.startswith(FEET) else []
+    magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.weakest == FEET else []
     pull = f" (magnets of {times * max(magnets) / 1e3:.1f} kN)" if magnets else ""
     alone = " for that alone" if pull else ""
     return (

@@ -24,6 +24,7 @@ from cmbot.scene import STOW, Scene
 from cmbot.stances.arm import CLOSELY, FIGURES, ROUGHLY, BaseArm, Effort
 from cmbot.stances.bounds import Bounds, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
+from cmbot.stances.charting import cannot_hold
 from cmbot.stances.loads import StanceLoads
 from cmbot.stances.placed_scene import put_away
 from cmbot.stances.search import Rejection
@@ -133,10 +134,9 @@ class Screener:
         q, every = np.tile(posture, (len(self._bases), 1)), np.arange(len(self._bases))
         use, names = self.arm.use(q, every, self.loads), [*robot.joints, FEET]
         name = "stow" if STOW in robot.group_states and self._scene.return_to != "start" else "start"
+        weakest = [names[which] for which in use.argmax(axis=1)]
         return {
-            k: Rejection.unheld(
-                f"{names[use[k].argmax()]} cannot hold the arm in its {name} posture", float(use[k].max())
-            )
+            k: Rejection.unheld(cannot_hold(weakest[k], name), float(use[k].max()), weakest[k])
             for k in np.flatnonzero(use.max(axis=1) > 1).tolist()
         }
 

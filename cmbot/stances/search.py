@@ -187,6 +187,8 @@ class Rejection:
         By what factor a bound is exceeded; infinite where it is none.
     would_do : str
         What else would take the cause away than a bound that is wider by that factor; empty where unknown.
+    weakest : str
+        Whose bound that is where the arm cannot be put away: a joint, or `FEET`; else empty.
     """
 
     kind: Status
@@ -194,12 +196,15 @@ class Rejection:
     cause: str
     excess: float = np.inf
     would_do: str = ""
+    weakest: str = ""
 
     @staticmethod
-    def unheld(cause: str, use: float, kind: Status = "blocked", said: str = "") -> Rejection:
-        """Return that of an arm that cannot be put away, as that takes `use` times what something bears."""
+    def unheld(
+        cause: str, use: float, weakest: str, *, kind: Status = "blocked", said: str = ""
+    ) -> Rejection:
+        """Return that of an arm that cannot be put away, as that takes `use` times what `weakest` bears."""
         reason, other = f"{said or cause}, {use:.2f} times what it bears", "start with return: start"
-        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, would_do=other)
+        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, would_do=other, weakest=weakest)
 
     @staticmethod
     def of(kind: Status, error: CmbotError) -> Rejection:
@@ -208,7 +213,7 @@ class Rejection:
             case PlanningError(stopped=True):
                 kind, cause = "not judged", "not judged: time"
             case CannotBePutAway(pair=None):
-                return Rejection.unheld(error.reason, error.use, kind, str(error))
+                return Rejection.unheld(error.reason, error.use, error.weakest, kind=kind, said=str(error))
             case PathNotFound(pair=(link, other)):
                 cause = f"{link} and {other} too near to each other"
             case PathNotFound() if error.pace > 1:

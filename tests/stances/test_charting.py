@@ -8,7 +8,7 @@ import pytest
 import cmbot
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound, PlanningError
-from cmbot.planning import build_request, robot_of
+from cmbot.planning import FEET, build_request, robot_of
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 from cmbot.stances import (
@@ -99,3 +99,15 @@ def test_a_stance_in_which_the_arm_cannot_be_put_away(scene: Scene) -> None:
     box = {"name": "box", "box": [0.1, 0.1, 0.1], "xyz": at.tolist()}
     with pytest.raises(PathNotFound, match="in its stow posture comes too near to something"):
         bounded_quickly(cmbot.load_scene({**data, "obstacles": [*data["obstacles"], box]}))
+
+
+@pytest.mark.parametrize(("weakest", "pull"), [(FEET, " (magnets of 6.2 kN)"), ("joint_2", "")])
+def test_magnets_that_would_do_are_told_where_feet_cannot_hold(scene: Scene, weakest: str, pull: str) -> None:
+    hold = {"kind": "magnet", "adhesion_n": 5000}
+    data = scene.as_data()
+    magnetic = cmbot.load_scene({**data, "guardrail": {**data.get("guardrail", {}), "hold": hold}})
+    why = Rejection.unheld("they let go", 1.234, weakest)
+    result = StanceResult(candidate=own_candidate(scene), stage="obstacles", bound=1.0, rejection=why)
+    (remedy,) = StanceRanking(scene=magnetic, ranked=(result,)).remedies
+    alone = " for that alone" if pull else ""
+    assert remedy.startswith(f"where they let go, 1.24 times what it bears{pull} would do{alone}, or another")
