@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from typing import Any
 
 from cmbot.common.installation import install_command
 from cmbot.common.limit import Limit
@@ -102,6 +103,10 @@ class CmbotError(Exception):
         self._text, self._end = one_line(message), one_line(end)
         super().__init__(self._within(LONGEST_MESSAGE))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let it be copied and passed to other processes, whatever it is made of."""
+        return _made_again, (type(self), self.args), vars(self)
+
     def add_source(self, source: str) -> None:
         """Put before the message what it is about, such as the scene's file."""
         self._about = f"{_end_of(one_line(source))}: {self._about}"
@@ -126,6 +131,13 @@ class CmbotError(Exception):
         if hints:
             text = f"{self._within(room - 2 - len(hints))}; {hints}"
         self.args = (f"{self._about}{text}",)
+
+
+def _made_again(kind: type[CmbotError], args: tuple[Any, ...]) -> CmbotError:
+    """An error without what its attributes say."""
+    error = kind.__new__(kind)
+    error.args = args
+    return error
 
 
 class InputError(CmbotError, ValueError):

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from xml.etree import ElementTree
@@ -102,11 +103,7 @@ def arm_model(
             raise ModelError(str(urdf), f"locked.{name}", f"{value:g}", expected)
         stance[names[name]] = value
 
-    def reduced(shapes: Any) -> tuple[Any, Any]:
-        model, (shapes,) = pin.buildReducedModel(full, [shapes], others, stance)
-        _require_extent(model, shapes, str(urdf))
-        return model, shapes
-
+    reduced = partial(_reduced, full, others, stance, str(urdf))
     model, collision = reduced(built.collision)
     assumed = _enable_pairs(model, collision, srdf, semantics, tool)
     slides = _locked_slides(full, moving, stance, base_frame)
@@ -115,7 +112,7 @@ def arm_model(
     return ArmModel(
         model=model,
         collision=collision,
-        read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
+        read_visual=partial(_visual_model, urdf, root, full, reduced),
         group_states=_group_states(tuple(model.names)[1:], semantics),
         locked_joints=holding_joints(full, moving, stance, base_frame),
         unplaced=tuple(name for name in slides if name not in placed),
@@ -124,6 +121,20 @@ def arm_model(
             *slides.values(),
         ),
     )
+
+
+def _reduced(full: Any, others: list[int], stance: FloatArray, where: str, shapes: Any) -> tuple[Any, Any]:
+    """The model, and shapes, in which only the arm's joints move."""
+    model, (shapes,) = pin.buildReducedModel(full, [shapes], others, stance)
+    _require_extent(model, shapes, where)
+    return model, shapes
+
+
+def _visual_model(
+    urdf: Path, root: ElementTree.Element, full: Any, reduced: Callable[[Any], tuple[Any, Any]]
+) -> tuple[Any, Any]:
+    """What is drawn of the arm, read where that is asked for."""
+    return reduced(_visual_shapes(urdf, root, full))
 
 
 def _locked_slides(full: Any, moving: Collection[int], stance: FloatArray, base_frame: str) -> dict[str, str]:

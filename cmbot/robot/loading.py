@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 from xml.etree import ElementTree
@@ -293,7 +294,7 @@ class _Description:
             model=arm,
             floating_model=_on_free_flyer(arm, placement.foot_point),
             collision_model=collision,
-            read_visual_model=lambda: placement.applied(*made.read_visual()),
+            read_visual_model=partial(placement.drawn, made.read_visual),
             limits=limited,
             group_states=made.group_states,
             elasticity=bends.tubes,
@@ -369,6 +370,10 @@ class _Placement:
         if self.tool_length is not None:
             set_tool_length(model, shapes, self.carrier, self.tool_length, source=self.source)
         return shapes
+
+    def drawn(self, read: Callable[[], tuple[Any, Any]]) -> Any:
+        """What is drawn of the arm, by what reads it with its model."""
+        return self.applied(*read())
 
 
 def _held(files: RobotFiles) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Messages of errors: one line, short enough, with what matters most."""
 
+import pickle
 import re
 from itertools import accumulate
 
@@ -13,6 +14,7 @@ from cmbot.common.errors import (
     MissingExtra,
     OptimisationFailed,
     PathNotFound,
+    SceneError,
     one_line,
     whole_sentences,
 )
@@ -34,6 +36,24 @@ def test_a_message_is_one_short_printable_line(text: str) -> None:
         assert str(error).isprintable()
         assert len(str(error)) <= LONGEST_MESSAGE
         assert str(error).endswith("; a hint")
+
+
+def test_an_error_is_the_same_in_another_process() -> None:
+    errors = (
+        CmbotError("text", "end"),
+        SceneError("scene.yaml", "speed", 0, "more", ["1", "2"], line=7),
+        PathNotFound("late", time=1.0, progress=0.5, smallest_singular_value=1e-4, pair=("a", "b")),
+        MissingExtra("dask", "campaign"),
+    )
+    for error in errors:
+        error.add_source("job.yaml")
+        error.add_hint("a hint")
+        again = pickle.loads(pickle.dumps(error))
+        assert type(again) is type(error)
+        assert str(again) == str(error)
+        assert vars(again) == vars(error)
+        again.add_hint("another")
+        assert str(again) == f"{error}; another"
 
 
 def test_one_line_keeps_blanks_and_letters() -> None:

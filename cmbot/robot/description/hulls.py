@@ -1,7 +1,12 @@
-"""Convex hulls of meshes, and what a body of even density in the shapes of a link weighs."""
+"""Convex hulls of meshes, and what a body of even density in the shapes of a link weighs.
+
+With this module imported hulls, and models that have some, can be pickled, which neither coal nor Pinocchio
+does by itself: so can robots and plans.
+"""
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
@@ -11,6 +16,7 @@ from xml.etree import ElementTree
 
 import coal
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
@@ -112,3 +118,47 @@ def _solids(scene: Any) -> Iterator[Any]:
                 continue
             shape = trimesh.convex.convex_hull(solid_points(points))
         yield trimesh.Trimesh(shape.vertices, shape.faces).apply_transform(X)
+
+
+def _hull(points: FloatArray, radius: float) -> coal.ConvexBase:
+    hull = convex_hull(points)
+    hull.setSweptSphereRadius(radius)
+    return hull
+
+
+def _reduced_hull(hull: coal.ConvexBase) -> tuple[Any, ...]:
+    return _hull, (np.array([hull.point(k) for k in range(hull.num_points)]), hull.getSweptSphereRadius())
+
+
+def _model(shapes: list[tuple[Any, ...]], pairs: list[tuple[int, int]]) -> pin.GeometryModel:
+    made = pin.GeometryModel()
+    for *parts, disabled in shapes:
+        shape = pin.GeometryObject(*parts)
+        shape.disableCollision = disabled
+        made.addGeometryObject(shape)
+    for pair in pairs:
+        made.addCollisionPair(pin.CollisionPair(*pair))
+    return made
+
+
+def _reduced_model(model: pin.GeometryModel) -> tuple[Any, ...]:
+    shapes = [
+        (
+            each.name,
+            each.parentJoint,
+            each.parentFrame,
+            each.placement,
+            each.geometry,
+            each.meshPath,
+            each.meshScale,
+            each.overrideMaterial,
+            each.meshColor,
+            each.disableCollision,
+        )
+        for each in model.geometryObjects
+    ]
+    return _model, (shapes, [(pair.first, pair.second) for pair in model.collisionPairs])
+
+
+copyreg.pickle(coal.ConvexBase, _reduced_hull)
+copyreg.pickle(pin.GeometryModel, _reduced_model)
