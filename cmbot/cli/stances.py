@@ -21,6 +21,7 @@ from cmbot.cli.console import (
     scenes_named,
 )
 from cmbot.common.errors import PlanningError, one_line
+from cmbot.common.workers import processors
 
 if TYPE_CHECKING:
     from cmbot.stances import StanceRanking
@@ -32,6 +33,7 @@ _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
 _SCENES_HELP = "Scene files, or names of shipped scenes, of jobs on one bridge."
+_JOBS_HELP = "Processes that judge stances; left out, one for each processor, up to 4."
 _MEMBERS_HELP = "A post or rail that feet hold at work; may be repeated; else all."
 
 
@@ -71,6 +73,7 @@ class StandCommand(Writing):
     proofs: int = option(1000, "How many bounds of other mounts to prove.", least=0)
     members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
     time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
+    jobs: int | None = option(None, _JOBS_HELP, least=1)
 
     def __call__(self) -> int:
         started = time.perf_counter()
@@ -79,7 +82,8 @@ class StandCommand(Writing):
         directory = self.output or Path("out") / f"{name}_stances"
         record, spacing = cmbot.archive.STANCES_FILE, float("inf") if self.one_foot else self.pair_spacing
         bounds = self.made(cmbot.stances.Bounds, "max_")
-        options = self.made(cmbot.stances.StandOptions, pair_spacing=spacing, bounds=bounds)
+        jobs = self.jobs or processors()
+        options = self.made(cmbot.stances.StandOptions, pair_spacing=spacing, bounds=bounds, jobs=jobs)
 
         def work(progress: ConsoleProgress) -> Sequence[StanceRanking]:
             rankings = cmbot.stances.stand(loaded, options, progress.stage)
@@ -164,6 +168,7 @@ class TourCommand(Reporting):
     spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
     speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
     members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
+    jobs: int | None = option(None, _JOBS_HELP, least=1)
 
     def __call__(self) -> None:
         started = time.perf_counter()
@@ -172,7 +177,12 @@ class TourCommand(Reporting):
         directory = self.output or Path("out") / f"{name}_tour"
         from cmbot.stances import StandOptions, walking
 
-        ranking = StandOptions(plans=self.plans, pair_spacing=self.spacing, members=self.members)
+        ranking = StandOptions(
+            plans=self.plans,
+            pair_spacing=self.spacing,
+            members=self.members,
+            jobs=self.jobs or processors(),
+        )
         options = self.made(walking.WalkOptions)
 
         def say() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,7 +13,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.first_order import BAND_HZ, FirstOrder
 from cmbot.planning import ToolTask, project_onto_task
-from cmbot.robot import PostureBatch, Postures, Robot, load_robot
+from cmbot.robot import JointLimits, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import Scene
 from cmbot.stances.loads import StanceLoads
 from cmbot.toolpath import ToolPoses
@@ -82,6 +84,21 @@ class _Goals:
         return _Goals(task=task, at=at, before=before, after=after, seconds=float(times[2] - times[1]))
 
 
+class _Table:
+    """Postures drawn from all over the joints' ranges, by the tool poses in them."""
+
+    def __init__(self, postures: Postures, limits: JointLimits) -> None:
+        self.q = limits.drawn(np.random.default_rng(0), _TABLE_POSTURES)
+        self._at, self._trees = postures.tool_at(self.q), dict[str, cKDTree]()
+
+    def near(self, keep: str, at: ToolPoses, count: int) -> IntArray:
+        """Numbers (C, count) of those that hold the tool nearest to poses (C)."""
+        if keep not in self._trees:
+            own = _features(keep, self._at.tool_point, self._at.tool_rotation)
+            self._trees[keep] = cKDTree(own)
+        return np.asarray(self._trees[keep].query(_features(keep, at.point, at.rotation), k=count)[1])
+
+
 class BaseArm:
     """The arm on a base at the origin of its own frame."""
 
@@ -100,11 +117,14 @@ class BaseArm:
         self.postures, self.limits = Postures(self.robot), self.robot.limits
         self._elastic = FirstOrder(elastic_arm(self.robot, None))
         self._force, self._mass = np.array(robot.tool_force), self.robot.arm_mass
-        rng = np.random.default_rng(0)
-        self._table = self.limits.drawn(rng, _TABLE_POSTURES)
-        at = self.postures.tool_at(self._table)
-        self._points, self._rotations = at.tool_point, at.tool_rotation
-        self._trees: dict[str, cKDTree] = {}
+
+    @cached_property
+    def _table(self) -> _Table:
+        return _Table(self.postures, self.limits)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the table, which is large and drawn anew where it is asked for."""
+        return {name: value for name, value in vars(self).items() if name != "_table"}
 
     def least(
         self,
@@ -206,11 +226,9 @@ class BaseArm:
     def _near(self, goals: _Goals, count: int, steps: int) -> tuple[FloatArray, IntArray]:
         """Postures (N, n) that hold the tool at the goals, from the nearest of the table, and whose (N,)."""
         keep = goals.task.keep
-        if keep not in self._trees:
-            self._trees[keep] = cKDTree(_features(keep, self._points, self._rotations))
-        _, near = self._trees[keep].query(_features(keep, goals.at.point, goals.at.rotation), k=count)
+        near = self._table.near(keep, goals.at, count)
         of = np.repeat(np.arange(len(near)), count)
-        q, good = self._placed(goals, self._table[near.ravel()], of, steps)
+        q, good = self._placed(goals, self._table.q[near.ravel()], of, steps)
         return q[good], of[good]
 
     def _walked(self, goals: _Goals, q: FloatArray, of: IntArray, steps: int) -> tuple[FloatArray, IntArray]:

@@ -400,7 +400,6 @@ class _Stand:
             options=self._options,
             bounds=self._bounds,
             objective=self._objective,
-            ending=self._ending,
             suits=self._suits,
         )
         results = [self._screened(k, found, strokes) for k in range(len(self._candidates))]
@@ -409,7 +408,7 @@ class _Stand:
         )
         if not scene.on_guardrail:
             times = np.array([times_of(task) for task in self._tasks])
-            results = [*judge.proven(results, found, strokes, times, progress)]
+            results = [*judge.proven(results, found, strokes, times, self._ending, progress)]
         return StanceRanking(
             scene=part,
             objective=self._objective,
@@ -431,7 +430,7 @@ class _Stand:
             sag = " and sag" if self._screener.loads.sags and np.isfinite(self._bounds.sag_mm) else ""
             why = f"no posture found within the bounds of joints{',' if sag else ' and'} feet{sag}"
             rejection = Rejection(kind="no posture", reason=why, cause=why)
-        return StanceResult(
+        result = StanceResult(
             candidate=candidate,
             number=k,
             stage="postures" if within else "reach",
@@ -440,6 +439,9 @@ class _Stand:
             rejection=rejection,
             own=candidate in self._own,
         )
+        if result.own and within and (unfit := self._suits(candidate)):
+            return result.rejected("clearance", Rejection(kind="blocked", reason=unfit, cause=unfit))
+        return result
 
 
 def _own(scenes: Sequence[Scene]) -> dict[AnyCandidate, FloatArray | None]:

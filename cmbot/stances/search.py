@@ -6,7 +6,8 @@ is judged by its next stage, until enough are planned and none can be better.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Literal, get_args
@@ -23,6 +24,7 @@ from cmbot.common.errors import (
     PlanningError,
 )
 from cmbot.common.representation import ShortRepr
+from cmbot.common.workers import Call, Workers
 from cmbot.planning import Plan
 from cmbot.stances.bounds import NO_BOUNDS, NO_FIGURES, Bounds, StanceFigures, StanceObjective
 from cmbot.stances.candidates import AnyCandidate
@@ -55,7 +57,11 @@ _FIRST_PLAN_S, _HASTENED_S, _BLOCKED_S, _NEAR_BLOCKED_M = 25.0, 60.0, 30.0, 0.1
 # folded arms near singularities, whose plans take long and fail; one that is stretched out is planned soon.
 _SHARES_BELOW = (0.9, 0.0, 0.75, 0.5)
 # Once enough are planned, only stances that may be better by more than this share are judged.
-_WORTH_SHARE = 0.05
+_WORTHWHILE_GAIN = 0.05
+# So many stances are judged beside each other, however many processes do so: what is judged next depends on
+# results in their order alone, and not on how soon they come. Where time is short, as many as there are
+# processes.
+_BESIDE = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +92,9 @@ class StandOptions:
         Posts and rails that feet hold; empty: all.
     time_limit : float, s
         After which no stance is judged any more; what was planned until then is kept.
+    jobs : int
+        Number of processes that judge stances beside each other, see `Workers`; more than 4 have nothing to
+        do. The result is the same.
     """
 
     objective: StanceObjective | None = None
@@ -99,6 +108,7 @@ class StandOptions:
     proofs: int = 1000
     members: tuple[str, ...] = ()
     time_limit: float = np.inf
+    jobs: int = 1
 
 
 @dataclass(kw_only=True)
@@ -306,17 +316,23 @@ class Stage:
     ----------
     name : str
     judge : callable
-        Takes a stance, and returns it with a better bound, a plan or a rejection.
+        Takes a stance and the search's ending, and returns it with a better bound, a plan or a rejection.
     most : int
         How often it does so at most.
     step : str
         What is said while it does.
+    is_long : bool
+        Whether it is worth another process.
     """
 
     name: StageName
-    judge: Callable[[StanceResult], StanceResult]
+    judge: Callable[[StanceResult, Ending], StanceResult]
     most: int
     step: str
+    is_long: bool = True
+
+
+_Judged = tuple[int, Stage, Call[StanceResult]]
 
 
 def evaluate_stances(
@@ -349,11 +365,12 @@ def evaluate_stances(
     search = _Search(list(results), stages, options, ending, progress)
     if options.plans:
         try:
-            search.plan_own()
-            own = [each for each in search.results if each.own]
-            if alone and own and all(each.figures is NO_FIGURES for each in own):
-                ending.hasten(_BLOCKED_S)
-            search.run()
+            with Workers(options.jobs) as workers:
+                search.plan_own()
+                own = [each for each in search.results if each.own]
+                if alone and own and all(each.figures is NO_FIGURES for each in own):
+                    ending.hasten(_BLOCKED_S)
+                search.run(workers)
         except KeyboardInterrupt:
             if not ending.keeps:
                 raise
@@ -372,65 +389,107 @@ class _Search:
         ending: Ending,
         progress: Progress,
     ) -> None:
-        self.results, self._stages, self._wanted = results, stages, options.plans
+        self.results, self._stages = results, stages
+        self._wanted, self._jobs = options.plans, options.jobs
         self._ending, self._progress = ending, progress
-        self._done = [0] * len(stages)
+        self._done = Counter[StageName]()
         self._next = {stage.name: k + 1 for k, stage in enumerate(stages)}
         self._failures = list[tuple[FloatArray, float]]()
         self._waiting = [k for k, each in enumerate(results) if each.status == "screened"]
         # Those near a failure, until no others wait; and those that were not judged in the time they had.
         self._later, self._late = list[int](), list[int]()
+        # Those that are being bounded, and planned, in the order in which that began.
+        self._bounded, self._plans = deque[_Judged](), deque[_Judged]()
         self._best, self._planned, self._tried, self._deep = np.inf, 0, 0, False
 
     def plan_own(self) -> None:
         """Plan the scenes' own stances: no other one is better than they are unless it is planned, too."""
         for k, each in enumerate(self.results):
-            if each.own and each.stage != "reach" and not self._ending.is_due():
+            if each.own and each.stage == "postures" and not self._ending.is_due():
                 self._progress("planning the scene's own stance", 0.0)
-                self._judge(k, self._stages[-1])
+                self._take(k, self._stages[-1], self._stages[-1].judge(each, self._ending))
 
-    def run(self) -> None:
+    def run(self, workers: Workers) -> None:
         """Judge the most promising by its next stage, again and again."""
-        while (self._waiting or self._later or self._late) and not self._ending.is_due():
-            late = self._ending.is_for_plans()
-            self._deep = late or self._ending.hastens
-            if late or len(self._late) >= self._wanted or not (self._waiting or self._later):
-                self._ending.give_more()
-                self._waiting, self._late = self._waiting + self._late, []
-            if not self._waiting:
-                self._waiting, self._later, self._failures = self._later, [], []
-            k = self._following()
-            self._waiting.remove(k)
-            each, number = self.results[k], self._next.get(self.results[k].stage, 0)
-            if each.status not in ("screened", "not judged") or each.bound >= self._enough:
-                continue
-            if number and self._is_near_a_failure(each):
-                # It most likely fails for the same reason: others come first.
-                self._later.append(k)
-                continue
-            # What charts say a plan says, too.
-            number += self._deep and self._stages[number].name == "charts"
-            stage = self._stages[number]
-            if self._done[number] < stage.most:
-                last = number == len(self._stages) - 1
-                share = self._planned / self._wanted if last else self._done[number] / stage.most
-                self._progress(stage.step, min(share, 1.0))
-                if last and self._ending.hastens:
-                    self._ending.hasten(_HASTENED_S)
-                    self._tried += 1
-                self._judge(k, stage)
-                # What its time was too short for is judged again.
-                self._done[number] += self.results[k].status != "not judged" or not self._ending.hastens
-                if self.results[k].status == "screened":
-                    self._waiting.append(k)
+        while not self._ending.is_due():
+            k = self._following() if self._room > 0 else None
+            if k is not None:
+                self._waiting.remove(k)
+                self._judge(k, self._stage(k), workers)
+            elif self._bounded or self._plans:
+                # Plans take long: that of one is waited for where nothing else is left to do.
+                k, stage, call = (self._bounded or self._plans).popleft()
+                if self._is_wanted(k):
+                    self._take(k, stage, call.result())
+            else:
+                break
+        for k, stage, call in (*self._bounded, *self._plans):
+            if call.has_begun():
+                # Its time ends with that of the search.
+                self._take(k, stage, call.result())
 
-    def _following(self) -> int:
-        """The number of the stance that is judged now."""
-        first = min(self._waiting, key=self._order)
-        if not self._ending.hastens or self._next.get(self.results[first].stage, 0):
-            return first
-        share = _SHARES_BELOW[self._tried % len(_SHARES_BELOW)]
-        return sorted(self._waiting, key=self._order)[int(share * len(self._waiting))]
+    def _judge(self, k: int, stage: Stage, workers: Workers) -> None:
+        """Have a stage judge a stance, unless that is put off or given up."""
+        each, last = replace(self.results[k], rejection=None), stage is self._stages[-1]
+        if stage is not self._stages[0] and self._is_near(each, self._failures):
+            # It most likely fails for the same reason: others come first.
+            self._later.append(k)
+            return
+        judged = self._plans if last else self._bounded
+        if self._done[stage.name] + sum(other is stage for _, other, _ in judged) >= stage.most:
+            return
+        share = self._planned / self._wanted if last else self._done[stage.name] / stage.most
+        self._progress(stage.step, min(share, 1.0))
+        if last and self._ending.hastens:
+            self._ending.hasten(_HASTENED_S)
+            self._tried += 1
+        if stage.is_long:
+            judged.append((k, stage, workers.call(stage.judge, each, self._ending)))
+        else:
+            self._take(k, stage, stage.judge(each, self._ending))
+
+    @property
+    def _room(self) -> int:
+        """How many more stances may be judged beside those that are."""
+        bounded, plans = len(self._bounded), len(self._plans)
+        if np.isfinite(self._ending.limit) or self._ending.hastens:
+            return min(self._jobs, _BESIDE) - bounded - plans
+        return _BESIDE - bounded
+
+    def _is_wanted(self, k: int) -> bool:
+        """Whether a stance may be planned, and then be better than what is."""
+        each = self.results[k]
+        return each.status in ("screened", "not judged") and each.bound < self._enough
+
+    def _stage(self, k: int) -> Stage:
+        """The next one of a stance."""
+        number = self._next.get(self.results[k].stage, 0)
+        # What charts say a plan says, too.
+        number += self._deep and self._stages[number].name == "charts"
+        return self._stages[number]
+
+    def _following(self) -> int | None:
+        """The number of the stance that is judged now; None where others are to be known first."""
+        late = self._ending.is_for_plans()
+        self._deep = late or self._ending.hastens
+        judged = (*self._bounded, *self._plans)
+        rest = bool(self._waiting or self._later or judged)
+        if self._late and (late or len(self._late) >= self._wanted or not rest):
+            self._ending.give_more()
+            self._waiting, self._late = self._waiting + self._late, []
+        if not self._waiting and not judged:
+            self._waiting, self._later, self._failures = self._later, [], []
+        self._waiting = [k for k in self._waiting if self._is_wanted(k)]
+        here = [(self.results[k].candidate.base[:3, 3], self._near_m(stage)) for k, stage, _ in judged]
+        able = sorted((k for k in self._waiting if not self._is_near(self.results[k], here)), key=self._order)
+        if not able:
+            return None
+        if self._ending.hastens and self._stage(able[0]) is self._stages[0]:
+            return able[int(_SHARES_BELOW[self._tried % len(_SHARES_BELOW)] * len(able))]
+        if self._stage(able[0]) is not self._stages[-1]:
+            return able[0]
+        most = self._wanted - self._planned if self._planned < self._wanted else _BESIDE
+        return able[0] if len(self._plans) < most else None
 
     def _order(self, k: int) -> tuple[int, float, int]:
         """By what a stance comes: what is expected of it; where plans are to come, how far it was judged."""
@@ -440,16 +499,27 @@ class _Search:
     @property
     def _enough(self) -> float:
         """Once enough are planned, only stances whose bound is below this are looked at."""
-        return np.inf if self._planned < self._wanted else (1 - _WORTH_SHARE) * self._best
+        return np.inf if self._planned < self._wanted else (1 - _WORTHWHILE_GAIN) * self._best
 
-    def _is_near_a_failure(self, each: StanceResult) -> bool:
+    @staticmethod
+    def _is_near(each: StanceResult, places: Iterable[tuple[FloatArray, float]]) -> bool:
         base = each.candidate.base[:3, 3]
-        return any(np.linalg.norm(base - other) < near for other, near in self._failures)
+        return any(np.linalg.norm(base - other) < near for other, near in places)
 
-    def _judge(self, k: int, stage: Stage) -> None:
-        result = self.results[k] = stage.judge(replace(self.results[k], rejection=None))
-        rejection = result.rejection
-        if result.status == "not judged":
+    def _near_m(self, stage: Stage) -> float:
+        """How near a base most likely fails in a stage for the same reason, m."""
+        blocked = _NEAR_BLOCKED_M if self._ending.hastens and stage.name == "obstacles" else 0.0
+        return _NEAR_BASE_M.get(stage.name, blocked)
+
+    def _take(self, k: int, stage: Stage, result: StanceResult) -> None:
+        """Take a result, and go on from there."""
+        self.results[k], rejection = result, result.rejection
+        # What its time was too short for is judged again.
+        late = result.status == "not judged" and self._ending.hastens
+        self._done[stage.name] += not (result.own or late)
+        if result.status == "screened":
+            self._waiting.append(k)
+        elif result.status == "not judged":
             given_up = stage is self._stages[-1] and not self._ending.hastens
             self._late += [] if result.own or given_up else [k]
         elif result.status == "planned":
@@ -460,5 +530,4 @@ class _Search:
             self._ending.hastens = False
         elif rejection is not None and not result.own and rejection.kind != "beyond a bound":
             # A little further on what is bounded may be less; and only the scene's own has its start posture.
-            blocked = _NEAR_BLOCKED_M if self._ending.hastens and stage.name == "obstacles" else 0.0
-            self._failures.append((result.candidate.base[:3, 3], _NEAR_BASE_M.get(stage.name, blocked)))
+            self._failures.append((result.candidate.base[:3, 3], self._near_m(stage)))

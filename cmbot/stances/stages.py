@@ -64,8 +64,7 @@ class Judge:
     bounds : Bounds
         Of all stances but the scenes' own, for which those of the options count.
     objective : str
-    ending : Ending
-    suits : callable
+    suits : callable or None
         Takes a candidate; why it is left out, or None.
     """
 
@@ -76,25 +75,24 @@ class Judge:
     options: StandOptions
     bounds: Bounds
     objective: StanceObjective
-    ending: Ending
-    suits: Callable[[AnyCandidate], str | None]
+    suits: Callable[[AnyCandidate], str | None] | None = None
 
     def stages(self) -> tuple[Stage, ...]:
         """Return them in their order."""
         options, tries = self.options, _ATTEMPTS_PER_PLAN * (self.options.plans + 1)
-        first = "checking the most promising"
+        first, sent = "checking the most promising", replace(self, suits=None)
         return (
-            Stage(name="clearance", judge=self.cleared, most=sys.maxsize, step=first),
-            Stage(name="obstacles", judge=self.checked, most=options.checks, step=f"{first} for obstacles"),
-            Stage(name="charts", judge=self.charted, most=options.charts, step="charting the most promising"),
-            Stage(name="plan", judge=self.planned, most=tries, step="planning the most promising"),
+            Stage(name="clearance", judge=self.cleared, most=sys.maxsize, step=first, is_long=False),
+            Stage(name="obstacles", judge=sent.checked, most=options.checks, step=f"{first} for obstacles"),
+            Stage(name="charts", judge=sent.charted, most=options.charts, step="charting the most promising"),
+            Stage(name="plan", judge=sent.planned, most=tries, step="planning the most promising"),
         )
 
-    def cleared(self, result: StanceResult) -> StanceResult:
+    def cleared(self, result: StanceResult, _ending: Ending) -> StanceResult:
         """Leave out a stance of which what does not move is too near to something."""
         candidate = result.candidate
         why = climber_in_the_way(self.scene, candidate) if isinstance(candidate, Candidate) else None
-        why = why or self.suits(candidate)
+        why = why or (self.suits(candidate) if self.suits is not None else None)
         if why is not None:
             return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
         # The job's bounds count where the arm is put away, too.
@@ -104,11 +102,11 @@ class Judge:
             return result.rejected("clearance", rejection)
         return replace(result, stage="clearance")
 
-    def checked(self, result: StanceResult) -> StanceResult:
+    def checked(self, result: StanceResult, ending: Ending) -> StanceResult:
         """Chart a stance at some via-points, obstacles included."""
         try:
             scene = scene_at(self.scene, result.candidate, None)
-            bound = bounded_quickly(scene, self._at_rest(result), self.ending.left())
+            bound = bounded_quickly(scene, self._at_rest(result), ending.left())
         except CmbotError as error:
             return result.rejected("obstacles", Rejection.of("blocked", error))
         if bound == 0 or self.objective == "sway":
@@ -120,9 +118,9 @@ class Judge:
             return result.rejected("obstacles", _rejection(self.bounds, name, bound, "in its best postures"))
         return replace(result, stage="obstacles", bound=bound, expected=bound)
 
-    def charted(self, result: StanceResult) -> StanceResult:
+    def charted(self, result: StanceResult, ending: Ending) -> StanceResult:
         """Chart a stance at all via-points."""
-        limit = min(self.scene.planner.time_limit_s, self.ending.part("charts"))
+        limit = min(self.scene.planner.time_limit_s, ending.part("charts"))
         try:
             charted = chart(scene_at(self.scene, result.candidate, None), self._at_rest(result), limit)
         except CmbotError as error:
@@ -146,11 +144,9 @@ class Judge:
             return None
         return partial(self.screener.arm.at_rest, stance=result.number, loads=self.screener.loads)
 
-    def planned(self, result: StanceResult) -> StanceResult:
+    def planned(self, result: StanceResult, ending: Ending) -> StanceResult:
         """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
-        if result.own and result.stage == "postures" and (why := self.suits(result.candidate)):
-            return result.rejected("clearance", Rejection(kind="blocked", reason=why, cause=why))
-        limit = min(self.scene.planner.time_limit_s, self.ending.part("plan", own=result.own))
+        limit = min(self.scene.planner.time_limit_s, ending.part("plan", own=result.own))
         try:
             placed, deadline = self._placed(result), Deadline(limit)
             options = replace(placed.planner, time_limit_s=limit)
@@ -183,6 +179,7 @@ class Judge:
         found: Screening,
         strokes: Sequence[int],
         times: FloatArray,
+        ending: Ending,
         progress: Callable[[str, float], None],
     ) -> Iterator[StanceResult]:
         """Yield stances with what is proven not to be undercut in them, up to a share of the best value.
@@ -196,7 +193,7 @@ class Judge:
             number = result.number
             if not found.within_reach[strokes, number].all():
                 yield replace(result, proven=np.inf)
-            elif result.plan is not None or left == 0 or result.own or self.ending.is_due():
+            elif result.plan is not None or left == 0 or result.own or ending.is_due():
                 yield result
             else:
                 left -= 1

@@ -138,20 +138,21 @@ def test_where_the_time_is_over_the_error_has_the_next_command(
 
 STOPS = """
 import os, signal
+import cmbot.common.workers as workers
 import cmbot.stances.stages as stages
-def stopped(scene, at_rest, seconds):
+def stopped(*_):
     os.kill(os.getpid(), signal.SIGINT)
-stages.bounded_quickly = stopped
+stages.bounded_quickly = workers._result = stopped
 from cmbot.cli import take_signals
 take_signals()
 """
 
 
-@pytest.mark.parametrize("shown", [(), ("--json",)])
-def test_ctrl_c_keeps_the_best_so_far(job: Path, shown: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("jobs", "shown"), [(1, ()), (2, ("--json",))])
+def test_ctrl_c_keeps_the_best_so_far(job: Path, jobs: int, shown: tuple[str, ...]) -> None:
     """The scene's own stance, which is planned first; the page says that the search was stopped."""
     out = job.parent / "out"
-    outcome = run_apart("stand", job, *COARSE, *shown, "-o", out, before=STOPS)
+    outcome = run_apart("stand", job, *COARSE, *shown, "--jobs", str(jobs), "-o", out, before=STOPS)
     assert outcome.status == 130, outcome.err
     said = "The search ended early, as it was stopped: what was planned until then is kept"
     assert said in (" ".join(json.loads(outcome.out)["words"]) if shown else outcome.out)

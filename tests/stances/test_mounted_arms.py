@@ -50,11 +50,28 @@ def panda(**changes: Any) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def ranking() -> StanceRanking:
+def mounted() -> Scene:
     rail = {"origin": [0.2, 0, 0], "along": [0.9, 0, 0], "count": 4}
-    scene = panda(mounts=[{"name": "rail", "rail": rail}, {"name": "far", "xyz": [9, 9, 0]}])
-    (found,) = stand(scene, StandOptions(plans=1))
+    return panda(mounts=[{"name": "rail", "rail": rail}, {"name": "far", "xyz": [9, 9, 0]}])
+
+
+@pytest.fixture(scope="module")
+def ranking(mounted: Scene) -> StanceRanking:
+    (found,) = stand(mounted, StandOptions(plans=1))
     return found
+
+
+def test_processes_beside_each_other_find_the_same(mounted: Scene) -> None:
+    """As many stances are judged, in the same order, with the same plans to the last digit."""
+    one, two = (stand(mounted, StandOptions(plans=2, proofs=0, jobs=jobs))[0] for jobs in (1, 2))
+    assert stances_csv([one]) == stances_csv([two])
+    assert one.count("planned") >= 2
+    for a, b in zip(one.ranked, two.ranked, strict=True):
+        assert (a.plan is None) == (b.plan is None)
+        if a.plan is not None and b.plan is not None:
+            assert a.plan.robot is not b.plan.robot
+            np.testing.assert_array_equal(a.plan.job.trajectory.q, b.plan.job.trajectory.q)
+            assert a.plan.certificate.holds and b.plan.certificate.holds
 
 
 def test_the_best_mount_is_planned_there(ranking: StanceRanking) -> None:

@@ -34,10 +34,10 @@ def searched(
         error = PathNotFound("late", time=0.0, progress=0.0, smallest_singular_value=1.0, stopped=True)
         return result.rejected(stage, Rejection.of("blocked", error))
 
-    def judge(result: StanceResult) -> StanceResult:
+    def judge(result: StanceResult, ending: Ending) -> StanceResult:
         return late(result, "charts", needs[result.number]) or replace(result, stage="charts")
 
-    def planned(result: StanceResult) -> StanceResult:
+    def planned(result: StanceResult, ending: Ending) -> StanceResult:
         return late(result, "plan", plan_needs) or replace(
             result, stage="plan", plan=plan, value=result.bound
         )
@@ -94,7 +94,8 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
 
 def test_without_a_limit_nothing_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
     ranking, had = searched([900.0, 1.0], np.inf, monkeypatch)
-    assert had == [(0, np.inf), (0, np.inf)]
+    # The second one is charted beside the first one, before that is known to be the best.
+    assert had == [(0, np.inf), (1, np.inf), (0, np.inf)]
     assert ranking.best is not None and not ranking.ended_by
 
 
@@ -113,7 +114,7 @@ def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones
     monkeypatch.setattr("cmbot.stances.search.monotonic", lambda: now[0])
     ending = Ending(limit=np.inf, _began=0.0)
 
-    def plan(result: StanceResult) -> StanceResult:
+    def plan(result: StanceResult, ending: Ending) -> StanceResult:
         if result.own:
             return result.rejected("plan", Rejection(kind="failed", reason="none", cause="none"))
         part = ending.part("plan")
@@ -124,7 +125,7 @@ def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones
             return replace(result, stage="plan", plan=made, value=result.bound)
         return result.rejected("plan", Rejection(kind="not judged", reason="time", cause="time"))
 
-    def never(result: StanceResult) -> StanceResult:
+    def never(result: StanceResult, ending: Ending) -> StanceResult:
         raise AssertionError("charted before there is a plan")
 
     results = []
@@ -138,7 +139,7 @@ def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones
             )
         )
     checks = Stage(
-        name="obstacles", judge=lambda result: replace(result, stage="obstacles"), most=20, step="checking"
+        name="obstacles", judge=lambda result, _: replace(result, stage="obstacles"), most=20, step="checking"
     )
     stages = (
         checks,
