@@ -1,7 +1,7 @@
 """Timed paths of the tool: curves, time laws, legs and rows over surfaces that make them."""
 
 from cmbot.toolpath.builder import timed_path as timed_path
-from cmbot.toolpath.curves import Line as Line, Spline as Spline
+from cmbot.toolpath.curves import Curve as Curve, Line as Line, Spline as Spline
 from cmbot.toolpath.legs import (
     AUTO as AUTO,
     ArcTo as ArcTo,

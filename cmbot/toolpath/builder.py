@@ -33,6 +33,9 @@ _TURN_LEVER_M = 0.1
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
 # share of the tool's largest speed.
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
+# And how fast the tangent turns where a spline bends most, rad/s: the joints turn back there. All legs of a
+# path are as much slower, as they share its via-points by their seconds.
+_FIRST_BEND = 12.0
 
 
 def timed_path(
@@ -208,6 +211,7 @@ class _PathBuilder:
             corner=float(np.radians(file.corner_deg)),
             deviation=place.deviation,
             rotation=place.rotation,
+            rests=file.seconds == AUTO,
         )
         parts, lengths, turns = list[_Part](), list[float](), list[float]()
         for stretch in stretches(*waypoint_poses(file.waypoints or ()), fit):
@@ -221,10 +225,15 @@ class _PathBuilder:
             turns.append(float(np.linalg.norm(turn)))
         # By how long each would take at one speed; a turn in place as what is beside the tool point.
         ways = np.where(np.array(lengths) >= SHORTEST_LEG, lengths, _TURN_LEVER_M * np.array(turns))
+        bends = [
+            _FIRST_SPEED * part.curve.curvature / _FIRST_BEND for part in parts if part.curve is not None
+        ]
+        slow = max([1.0, *bends])
         for k, part in enumerate(parts):
             if file.seconds is None or file.seconds == AUTO:
                 key = f"{place.key}.speed_m_s"
                 seconds = self._seconds(file.seconds, file.speed_m_s, float(ways[k]), key, turns[k])
+                seconds *= slow if file.seconds == AUTO else 1.0
             else:
                 seconds = float(file.seconds * ways[k] / ways.sum())
             self._add(replace(part, seconds=seconds))

@@ -30,6 +30,8 @@ _MIN_RATE_SHARE = 1e-9
 _COLLINEAR_SHARE = 1e-6
 # Instead of no length, or its square.
 _MIN_LENGTH = 1e-300
+# Of a spline that bends by more, rad, as much counts for its bends as for its way.
+_FULL_BEND = np.pi
 
 
 class Curve(ABC):
@@ -54,6 +56,17 @@ class Curve(ABC):
     def turns(self) -> bool:
         """Whether the curve prescribes the tool's orientation."""
         return False
+
+    def turned(self, share: FloatArray) -> FloatArray:
+        """Return angles (N,), rad: the tangent turns by no more than they differ between two shares (N,)."""
+        return self.curvature * self.length * np.asarray(share)
+
+    def bend_share(self, share: FloatArray) -> FloatArray:
+        """Return the shares (N,) of all bend that are before the shares of the length.
+
+        They count as far as the curvature is uneven, and half a turn or more is bent: else they are less.
+        """
+        return np.zeros(len(share))
 
     @abstractmethod
     def reversed(self) -> Curve:
@@ -223,21 +236,48 @@ class Spline(Curve):
         share's way smaller than where it is least, and nor is its mean, the length.
         """
         second = np.linalg.norm(self._spline(self._spline.x, 2), axis=1)
-        return float(second.max() / max(self._slowest, _MIN_RATE_SHARE * self.length) ** 2)
+        return float(second.max() / max(self._slowest.min(), _MIN_RATE_SHARE * self.length) ** 2)
 
     @cached_property
-    def _slowest(self) -> float:
-        """Least norm of the derivative by the share: its square is of fourth degree between two points."""
+    def _slowest(self) -> FloatArray:
+        """Least norm (K - 1,) of the derivative by the share between two points each.
+
+        Its square is of fourth degree there.
+        """
         from scipy.interpolate import PPoly
 
         first = self._spline.derivative()
         square = np.zeros((5, first.c.shape[1]))
         for j, k in np.ndindex(3, 3):
             square[j + k] += np.einsum("pd,pd->p", first.c[j], first.c[k])
-        square = PPoly(square, first.x)
-        turning = square.derivative().roots(extrapolate=False)
-        at = np.concatenate([first.x, turning[np.isfinite(turning)]])
-        return float(np.linalg.norm(first(at), axis=1).min())
+        turning = PPoly(square, first.x).derivative().roots(extrapolate=False)
+        turning = turning[np.isfinite(turning)]
+        ends = np.linalg.norm(first(first.x), axis=1)
+        least = np.minimum(ends[:-1], ends[1:])
+        np.minimum.at(least, self._piece(turning), np.linalg.norm(first(turning), axis=1))
+        return np.asarray(least)
+
+    @cached_property
+    def _turned(self) -> FloatArray:
+        """Bounds (K,), rad, of how far the tangent has turned up to the points."""
+        second = np.linalg.norm(self._spline(self._spline.x, 2), axis=1)
+        rate = np.maximum(second[:-1], second[1:]) / np.maximum(self._slowest, _MIN_RATE_SHARE * self.length)
+        return np.append(0.0, np.cumsum(rate * np.diff(self._spline.x)))
+
+    def turned(self, share: FloatArray) -> FloatArray:
+        """Return angles (N,), rad: the tangent turns by no more than they differ between two shares (N,)."""
+        return np.asarray(np.interp(share, self._spline.x, self._turned))
+
+    def bend_share(self, share: FloatArray) -> FloatArray:
+        """Return the shares (N,) of all bend that are before the shares of the length.
+
+        As the tangents at the points turn, and in between in proportion to the share.
+        """
+        slope = self.slope(self._spline.x)
+        tangent = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), _MIN_LENGTH)
+        steps = np.linalg.norm(np.diff(tangent, axis=0), axis=1)
+        turned = np.append(0.0, np.cumsum(2 * np.arcsin(np.minimum(0.5 * steps, 1.0))))
+        return np.asarray(np.interp(share, self._spline.x, turned / max(turned[-1], _FULL_BEND)))
 
     def position(self, share: FloatArray) -> FloatArray:
         """Return points (N, 3), m."""

@@ -29,6 +29,8 @@ NO_TURN = 1e-3
 
 # A corner in any case, and how many times as much a corner bends as the path beside it.
 _SHARP, _TIMES_AS_MUCH = np.radians(60), 2.0
+# A bend is tight whose directions so far, m, before and behind it are apart as those of a corner in any case.
+_TIGHT_M = 0.015
 # The share of its angle from which on a bend is one where no spline keeps dense waypoints.
 _SLIGHT = 1 / 3
 # A direction is that over so many tolerances at least: noise of a point is less than one.
@@ -52,12 +54,16 @@ class Fit:
         What bends by more may be a corner.
     deviation, rotation : float, m and rad
         Of the tool from its path at most; waypoints may be off by a quarter of that.
+    rests : bool
+        Whether the tool rests in tight bends, too. Where its shortest time is sought hardly any speed is left
+        there, and one law for all of a long path has no room for stops so short.
     """
 
     kept: str
     corner: float
     deviation: float
     rotation: float
+    rests: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,11 +210,25 @@ def _off_geodesic(orientations: FloatArray) -> FloatArray:
 
 def _corners(points: FloatArray, fit: Fit) -> list[int]:
     """Numbers of the places (K, 3) at which a path bends so that it rests there."""
-    count = len(points)
-    if count < 3:
+    if len(points) < 3:
         return []
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    reach, places = _DIRECTION_TOLERANCES * fit.deviation, np.arange(count)
+    found = _most_bent(points, along, _DIRECTION_TOLERANCES * fit.deviation, fit.corner, _SHARP)
+    for k in _most_bent(points, along, _TIGHT_M, _SHARP) if fit.rests else ():
+        if np.abs(along[found] - along[k]).min(initial=np.inf) > 2 * _TIGHT_M:
+            found.append(k)
+    return found
+
+
+def _most_bent(
+    points: FloatArray, along: FloatArray, reach: float, corner: float, sharp: float = np.inf
+) -> list[int]:
+    """Numbers of the places (K, 3) at which a path bends by more than a corner, rad, and than beside.
+
+    Directions are those over a `reach`, m, of the way `along` (K,), or to the next place where that is
+    further. What bends by more than is `sharp` is one whatever is beside.
+    """
+    count, places = len(points), np.arange(len(points))
     # Never further than the neighbours where these are further apart than that.
     before = np.minimum(np.searchsorted(along, along - reach, side="right") - 1, places - 1)
     after = np.maximum(np.searchsorted(along, along + reach, side="left"), places + 1)
@@ -220,14 +240,12 @@ def _corners(points: FloatArray, fit: Fit) -> list[int]:
     found = list[int]()
     for k in range(1, count - 1):
         near = angle[before[k] + 1 : after[k]]
-        if angle[k] <= fit.corner or angle[k] < near.max():
+        if angle[k] <= corner or angle[k] < near.max():
             continue
         # Of ends nothing is known: what bends between them alone may be a curve.
         inner = [angle[j] for j in (before[k], after[k]) if 0 < j < count - 1]
         beside = max(inner, default=angle[k])
-        if (angle[k] > _SHARP or angle[k] > _TIMES_AS_MUCH * beside) and not (
-            found and found[-1] > before[k]
-        ):
+        if (angle[k] > sharp or angle[k] > _TIMES_AS_MUCH * beside) and not (found and found[-1] > before[k]):
             found.append(k)
     return found
 

@@ -24,6 +24,8 @@ _POINTS_PER_CURVE = 41
 _LEG_TIME_TOLERANCE = 1e-9
 # Digits of the shares of the duration that legs have.
 _LEG_SHARE_DIGITS = 9
+# Bends count so many times as much as the time at most: what is rounded grows with the times' nearness.
+_DENSEST = 7.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -258,17 +260,14 @@ class ToolPath(ShortRepr):
         return curvature
 
     def bend(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return bounds (K,) on how far unit tangents between two times are from that in their middle.
-
-        A curve's curvature times its length bounds how fast its tangent turns by the share.
-        """
+        """Return bounds (K,) on how far unit tangents between two times are from that in their middle."""
         middle = 0.5 * (start + end)
         bound, (leg, _) = np.empty(len(start)), self._locate(middle)
         for which, segment, share, _ in self._pieces(middle, middle):
             ends = (segment.law.share(self._share_of(t[which], leg[which])) for t in (start, end))
-            furthest = np.max([np.abs(end_share - share) for end_share in ends], axis=0)
-            angle = np.minimum(segment.curve.curvature * segment.curve.length * furthest, np.pi)
-            bound[which] = 2 * np.sin(0.5 * angle)
+            turned = segment.curve.turned
+            angle = np.max([np.abs(turned(end_share) - turned(share)) for end_share in ends], axis=0)
+            bound[which] = 2 * np.sin(0.5 * np.minimum(angle, np.pi))
         return bound
 
     def progress(self, time: float) -> float:
@@ -282,7 +281,8 @@ class ToolPath(ShortRepr):
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
 
-        The ends of leads are among them, and the steps are equal between these.
+        The ends of leads are among them, and the steps are equal between these. On a spline, which bends
+        unevenly, they are equal in the sum of the shares of the time and of the bend.
 
         Raises
         ------
@@ -292,10 +292,26 @@ class ToolPath(ShortRepr):
         ends = self.section_times
         segments = share_out_segments(np.diff(ends) if len(self.process_parts) else self.seconds, count - 1)
         pieces = [
-            np.linspace(start, end, m, endpoint=False)
+            self._even_times(start, end, m)[:-1]
             for start, end, m in zip(ends[:-1], ends[1:], segments, strict=True)
         ]
         return np.concatenate([*pieces, ends[-1:]])
+
+    def _even_times(self, start: float, end: float, steps: int) -> FloatArray:
+        """Times (steps + 1,) from one to another one on the same leg."""
+        even = np.linspace(start, end, steps + 1)
+        leg = int(self._locate([0.5 * (start + end)])[0][0])
+        segment = self.segments[leg]
+        shares = np.concatenate([[0.0], segment.curve.breaks, [1.0]])
+        bend = segment.curve.bend_share(shares)
+        if not bend.any():
+            return even
+        at = self.leg_times[leg] + segment.seconds * segment.law.time_share(shares)
+        times = np.concatenate([[start], at[(at > start) & (at < end)], [end]])
+        even_way = np.diff(times) / (end - start)
+        bends = np.minimum(np.diff(np.interp(times, at, bend)), _DENSEST * even_way)
+        way = np.append(0.0, np.cumsum(even_way + bends))
+        return np.asarray(np.interp(way[-1] * np.linspace(0.0, 1.0, steps + 1), way, times))
 
     def leg_directions(self, times: ArrayLike) -> FloatArray:
         """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""

@@ -66,9 +66,9 @@ class SplineSpace:
 
         Entries of velocity rows are in 1/s, of acceleration rows in 1/s2, up to a common factor a column.
         """
-        free, conditions, _ = self._windows
+        free, conditions, _, unit = self._windows
         largest = np.abs(conditions).max(axis=(1, 2), keepdims=True)
-        y = np.linalg.svd(conditions / largest)[2][:, -1] / self.unit[free]
+        y = np.linalg.svd(conditions / largest)[2][:, -1] / unit
         y /= np.take_along_axis(y, np.abs(y).argmax(axis=1)[:, None], axis=1)
         where = np.broadcast_to(np.arange(self.dimension)[:, None], free.shape)
         shape = (3 * len(self.t), self.dimension)
@@ -77,11 +77,11 @@ class SplineSpace:
     @cached_property
     def cardinal(self) -> sparse.csr_array:
         """Knot vectors (3n, n) of splines that are 1 at one knot, 0 at the others, on four segments each."""
-        free, conditions, jumps = self._windows
+        free, conditions, jumps, unit = self._windows
         knots = np.arange(len(self.t))
         window = np.clip(knots - SUPPORT // 2, 0, self.dimension - 1)
         rhs = -np.take_along_axis(jumps[window], (knots - window)[:, None, None], axis=2)
-        y = (np.linalg.pinv(conditions[window]) @ rhs)[..., 0] / self.unit[free[window]]
+        y = (np.linalg.pinv(conditions[window]) @ rhs)[..., 0] / unit[window]
         where = np.broadcast_to(knots[:, None], y.shape)
         values = np.concatenate([y.ravel(), np.ones(len(knots))])
         rows = np.concatenate([free[window].ravel(), 3 * knots])
@@ -156,11 +156,11 @@ class SplineSpace:
         return np.tile([1.0, step, step**2], len(self.t))
 
     @cached_property
-    def _windows(self) -> tuple[IntArray, FloatArray, FloatArray]:
+    def _windows(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
         """For each four neighbouring segments: what is free of the knots inside, and what keeps them C3.
 
         Indices (n - 4, 6) in a knot vector; the jerks' jumps by those, unit-free, (n - 4, 5, 6); the same by
-        the positions of the five knots, (n - 4, 5, 5).
+        the positions of the five knots, (n - 4, 5, 5); and the units (n - 4, 6) of the first.
         """
         first = np.arange(self.dimension)[:, None]
         free = np.stack([_velocity_and_acceleration(k + np.arange(1, SUPPORT)) for k in first])
@@ -171,7 +171,10 @@ class SplineSpace:
             rows, columns = np.broadcast_arrays(knots[:, :, None], columns[:, None, :])
             return np.asarray(scaled[rows.ravel(), columns.ravel()]).reshape(rows.shape)
 
-        return free, blocks(free), blocks(3 * knots)
+        # Their steps beside the mean of all, as powers of two: in units of the mean short ones lose digits.
+        finer = (self.t[SUPPORT:] - self.t[:-SUPPORT]) / SUPPORT / self.unit[1]
+        finer = np.exp2(np.round(np.log2(finer)))[:, None] ** np.tile([1, 2], SUPPORT - 1)
+        return free, blocks(free) / finer[:, None], blocks(3 * knots), self.unit[free] * finer
 
     @cached_property
     def _jerk_jumps(self) -> sparse.csr_array:

@@ -12,6 +12,7 @@ from small_scenes import SHORT
 from cmbot import load_scene
 from cmbot.planning.verification.timed_path import DescribedPath
 from cmbot.scene import Scene, Stroke
+from cmbot.toolpath import Spline
 
 SECOND = {
     **SHORT,
@@ -43,7 +44,9 @@ def check_path(scene: Scene) -> None:
         poses = path.poses(times)
         np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
         np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(stroke.via_times, second.via_times(), rtol=1e-9)
+        if not any(isinstance(segment.curve, Spline) for segment in path.segments):
+            # On splines their steps are equal in something else: tests/toolpath/test_tool_path.py.
+            np.testing.assert_allclose(stroke.via_times, second.via_times(), rtol=1e-9)
         check_described(scene, stroke, X_WT)
         X_WT = path.end_pose
 

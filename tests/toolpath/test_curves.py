@@ -1,5 +1,7 @@
 """Curved legs: by what a curve is (distance from the centre, length, points), not by its formulas."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from finite_differences import finite_difference
@@ -281,6 +283,26 @@ def test_wild_points_have_a_spline_too(rng: np.random.Generator) -> None:
     at = np.concatenate([[0.0], curve.breaks, [1.0]])
     np.testing.assert_allclose(curve.position(at), curve.points, atol=1e-12)
     assert np.isfinite(curve.length)
+
+
+@settings(max_examples=30)
+@given(
+    seed=seeds, make=st.sampled_from([arc, spline, blend, rolled]), uneven=st.sampled_from([0.1, 0.4, 1.0])
+)
+def test_tangents_turn_by_no_more_than_is_said(seed: int, make: Any, uneven: float) -> None:
+    """Between any two shares; along an arc by exactly that, and along a smooth spline by nearly."""
+    rng = np.random.default_rng(seed)
+    curve = make(rng, uneven) if make is spline else make(rng)
+    tangent, said = curve.tangent(FINE), curve.turned(FINE)
+    for step in (1, 7, 100, 2000):
+        chord = np.linalg.norm(tangent[step:] - tangent[:-step], axis=1)
+        turned = 2 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+        assert (turned <= said[step:] - said[:-step] + 1e-7).all()
+    path = 2 * np.arcsin(0.5 * np.linalg.norm(np.diff(tangent, axis=0), axis=1)).sum()
+    if make is arc:
+        assert said[-1] == pytest.approx(path, rel=1e-6)
+    if make is spline and uneven == 0.1:
+        assert said[-1] <= 3 * path
 
 
 @settings(max_examples=50)

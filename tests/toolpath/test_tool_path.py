@@ -14,7 +14,7 @@ from small_scenes import SHORT
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning import robot_of, strokes_of
 from cmbot.scene import load_scene
-from cmbot.toolpath import SpeedProfile, ToolPath, share_out_segments
+from cmbot.toolpath import Segment, SpeedProfile, Spline, ToolPath, share_out_segments
 
 FloatArray = NDArray[np.float64]
 KINDS = ("trapezoidal", "jerk_limited", "quiet")
@@ -301,3 +301,26 @@ def test_fewer_via_points_than_a_rasters_rows_name_the_key() -> None:
     with pytest.raises(SceneError, match=r"via_points: got 50, expected at least \d+, .* or auto") as caught:
         strokes_of(scene, robot_of(scene))
     assert caught.value.key == "tool_path.via_points"
+
+
+@settings(max_examples=30)
+@given(radius=st.floats(0.002, 0.05), count=st.integers(24, 200), law=st.booleans())
+def test_via_points_of_a_spline_are_dense_where_it_bends(radius: float, count: int, law: bool) -> None:
+    """Two straight ways of 0.5 m and half a turn between them, with 15 points."""
+    angle = np.linspace(0.0, np.pi, 15)
+    bend = radius * np.stack([np.sin(angle), 1 - np.cos(angle), 0 * angle], axis=1)
+    x = np.linspace(-0.5, 0.0, 26)[:-1, None] * [1.0, 0, 0]
+    points = np.concatenate([x, bend, x[::-1] + np.array([0.0, 2 * radius, 0.0])])
+    own = SpeedProfile(kind="quiet" if law else "jerk_limited", ramp=0.2 if law else 0.4).law
+    segment = Segment(curve=Spline(points), seconds=10.0, law=own)
+    path = ToolPath(orientation=np.eye(3), segments=(segment,))
+    t = path.via_times(count)
+    assert (t[0], t[-1], len(t)) == (0.0, 10.0, count)
+    assert (np.diff(t) > 0).all()
+    # Half of them are for the time, and the others mostly for the bend, but where that takes no time.
+    assert np.diff(t).max() <= 2 * 10.0 / (count - 1) * 1.01
+    assert np.diff(t).min() >= 10.0 / (count - 1) / 8 * 0.99
+    p = path.position(t)
+    in_bend = ((p[:, 0] > 0) & (t > 0) & (t < 10.0)).sum()
+    even = path.position(np.linspace(0, 10.0, count))
+    assert in_bend >= 2 * (even[:, 0] > 0).sum()

@@ -113,6 +113,19 @@ def test_members_are_c3_on_any_knots(space: SplineSpace, seed: int) -> None:
     assert_is_member(space, *random_member(space, seed))
 
 
+@settings(max_examples=20)
+@given(st.integers(12, 60), st.floats(1.0, 2.0), st.integers(0, 2**32 - 1))
+def test_short_segments_among_long_ones_lose_no_digits(n: int, decades: float, seed: int) -> None:
+    """Jumps of the jerk at a knot beside the jerk around it, whatever that is elsewhere."""
+    rng = np.random.default_rng(seed)
+    place = np.arange(n - 1)
+    h = 10.0 ** (-decades * np.exp(-(((place - n / 2) / (n / 8)) ** 2)))
+    space = SplineSpace(np.append(0.0, np.cumsum(h)))
+    trajectory = space.trajectory(space.basis @ rng.normal(size=(n - 4, 1)))
+    jerk = np.abs(trajectory.hull(3)).max(axis=(0, 2))
+    assert (np.abs(trajectory.jumps(3)[:, 0]) <= 1e-13 * np.maximum(jerk[1:], jerk[:-1])).all()
+
+
 @every_space
 def test_basis_splines_vanish_at_knots_and_live_on_four_segments(kind: str, n: int) -> None:
     space = space_of(kind, n)

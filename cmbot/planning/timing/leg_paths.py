@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
 from cmbot.planning.postures.projection import project_onto_task
@@ -15,7 +16,7 @@ from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.law_search import Bounded, shortest_law
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE
-from cmbot.toolpath import LegLaw
+from cmbot.toolpath import Curve, LegLaw
 from cmbot.trajectory import QuinticTrajectory
 
 # Pieces of the spline that a joint path is, one a segment, and points of each that are put onto the task.
@@ -62,11 +63,12 @@ def leg_paths(
         segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
         finer = 1.0 if path.segments[leg].is_straight else _CURVE_DENSITY
         pieces = int(np.clip(finer * segments, _FEWEST_PIECES, finer * _MOST_PIECES))
-        shares = np.linspace(0.0, 1.0, _PROJECTED_PER_PIECE * pieces + 1)
+        curve = path.segments[leg].curve
+        shares = _even_shares(curve, _PROJECTED_PER_PIECE * pieces)
         at = path.times_at(leg, shares)
         rough = trajectory.evaluate(at)
         # Where the tool hardly moves, at the ends, self-motion is steep in the share: that is smoothed.
-        knots = np.concatenate([np.zeros(6), np.linspace(0.0, 1.0, pieces + 1)[1:-1], np.ones(6)])
+        knots = np.concatenate([np.zeros(6), _even_shares(curve, pieces)[1:-1], np.ones(6)])
         smooth = make_lsq_spline(shares, rough, knots, k=5)(shares)
         smooth[[0, -1]] = rough[[0, -1]]
         q, _ = project_onto_task(
@@ -74,6 +76,15 @@ def leg_paths(
         )
         found.append(LegPath(leg=leg, q=make_lsq_spline(shares, q, knots, k=5), segments=segments))
     return tuple(found)
+
+
+def _even_shares(curve: Curve, steps: int) -> FloatArray:
+    """Shares (steps + 1,) of a curve's length, as dense where it bends as via-points are."""
+    even = np.linspace(0.0, 1.0, steps + 1)
+    shares = np.concatenate([[0.0], curve.breaks, [1.0]])
+    bend = curve.bend_share(shares)
+    way = shares + bend
+    return np.interp(way[-1] * even, way, shares) if bend.any() else even
 
 
 def bounds_along(

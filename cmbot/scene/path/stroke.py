@@ -221,7 +221,9 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
     count = 0
     for leg, segment in enumerate(path.segments):
         length = segment.curve.length
-        bend = segment.curve.curvature * length
+        # As many more as there are for its bends: `ToolPath.via_times`.
+        more = 1.0 + float(segment.curve.bend_share(np.ones(1))[0])
+        bend = float(segment.curve.turned(np.ones(1))[0])
         asked = [length / (_WAY * finer), _turned(path, leg) / (_TURN * finer), bend / (_BEND * finer)]
         moves = max(asked) > 0
         if moves and (segment.is_open or leg in timed):
@@ -230,7 +232,9 @@ def _automatic_via_points(path: ToolPath, deviation: float, file: StrokeFile) ->
             asked.append(_FEWEST_OPEN[1])
         elif moves:
             asked += [segment.seconds / _SECONDS, _PER_RAMP / file.speed_profile.ramp]
-        count += int(np.clip(math.ceil(max(asked)), _MIN_LEG_SEGMENTS if moves else 1, _MAX_LEG_SEGMENTS))
+        count += int(
+            np.clip(math.ceil(more * max(asked)), _MIN_LEG_SEGMENTS if moves else 1, _MAX_LEG_SEGMENTS)
+        )
     return max(count, _POSE_VALUES, len(path.section_times) - 1) + 1
 
 

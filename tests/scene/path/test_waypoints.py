@@ -194,6 +194,26 @@ def test_what_bends_evenly_is_no_corner() -> None:
     assert len(path_of(way_of(rows, corner_deg=15)).seconds) > 1
 
 
+@pytest.mark.parametrize(("radius", "legs"), [(0.007, 2), (0.012, 1), (0.1, 1)])
+def test_in_the_shortest_time_a_tight_bend_is_rested_in(radius: float, legs: int) -> None:
+    """Half a turn between two straight ways; where seconds are given the tool goes on, as round circles."""
+    angle = np.linspace(0.0, np.pi, 16)
+    bend = radius * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
+    x = np.linspace(-0.3, 0.0, 61)[:-1, None] * [1.0, 0.0]
+    xy = np.concatenate([x, bend, x[::-1] + np.array([0.0, 2 * radius])])
+    rows = np.tile([0.0, 0, 0.1, *DOWN], (len(xy), 1))
+    rows[:, :2] = xy
+    auto = path_of(way_of(rows, corner_deg=15, seconds="auto"))
+    assert len(auto.segments) == legs
+    if legs == 2:
+        assert auto.corners[1, 0] > 0.9 * radius
+    assert len(path_of(way_of(rows, corner_deg=15, seconds=8)).segments) == 1
+    round_ = np.tile([0.0, 0, 0.1, *DOWN], (61, 1))
+    turn = np.linspace(0.0, 2 * np.pi, 61)
+    round_[:, 0], round_[:, 1] = radius * np.cos(turn), radius * np.sin(turn)
+    assert len(path_of(way_of(round_, corner_deg=15, seconds="auto")).segments) == 1
+
+
 def test_corners_between_lines_are_blended(rng: np.random.Generator) -> None:
     scene = way_of(rounded_square(rng, 0.0), corner_deg=15, blend_radius_m=0.03)
     path = path_of(scene)
