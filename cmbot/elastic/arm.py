@@ -84,16 +84,7 @@ class ElasticArm:
             link_factor=factor * self.options.link_factor,
             joint_factor=factor * self.options.joint_factor,
         )
-        robot = self.robot
-        if load:
-            model = robot.model.copy()
-            frame = model.frames[robot.tool_frame_id]
-            inertia = pin.Inertia(abs(load), frame.placement.translation, np.zeros((3, 3)))
-            joint = frame.parentJoint
-            body = model.inertias[joint]
-            model.inertias[joint] = body + inertia if load > 0 else body - inertia
-            robot = replace(robot, model=model, payload=robot.payload + load)
-        return elastic_arm(robot, self.base, options)
+        return elastic_arm(self.robot.loaded(load), self.base, options)
 
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
         """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""

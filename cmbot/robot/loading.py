@@ -292,7 +292,6 @@ class _Description:
             urdf=files.urdf.resolve(),
             description=self.completed,
             model=arm,
-            floating_model=_on_free_flyer(arm, placement.foot_point),
             collision_model=collision,
             read_visual_model=partial(placement.drawn, made.read_visual),
             limits=limited,
@@ -556,18 +555,3 @@ def _pose(mount: ArrayLike, key: str = "mount") -> Any:
         if np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0:
             return pin.SE3(X)
     raise ModelError("load_robot", key, X.tolist(), expected)
-
-
-def _on_free_flyer(model: Any, point: FloatArray) -> Any:
-    """Return `model` below a massless free-flyer at `point` (3,), with the axes of W."""
-    name = "guardrail"
-    while model.existFrame(name):
-        name += "_"
-    floating = pin.Model()
-    X_WO = pin.SE3(np.eye(3), point)
-    root = floating.addJoint(0, pin.JointModelFreeFlyer(), X_WO, name)
-    floating.addJointFrame(root)
-    floating = pin.appendModel(floating, model, floating.getFrameId(name), X_WO.inverse())
-    floating.inertias[root] = pin.Inertia.Zero()
-    floating.gravity = model.gravity
-    return floating

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
@@ -17,6 +18,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.common.representation import card
 from cmbot.hold import Foot, Holding
+from cmbot.robot.arm_model import attach_payload
 from cmbot.robot.description.completion import Lift
 from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
@@ -46,9 +48,6 @@ class Robot:
     model : pinocchio.Model
         The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move, but
         for what stands on the floor.
-    floating_model : pinocchio.Model
-        The same arm below a massless free-flyer at O0, with the axes of W: held still, the first six rows of
-        its inverse dynamics are the wrench that the base exerts on the arm, and their derivatives are exact.
     collision_model : pinocchio.GeometryModel
         Collision shapes and the pairs of them that may collide.
     read_visual_model : callable
@@ -97,7 +96,6 @@ class Robot:
     urdf: Path
     description: str
     model: Any
-    floating_model: Any
     collision_model: Any
     read_visual_model: Callable[[], Any]
     limits: JointLimits
@@ -145,6 +143,25 @@ class Robot:
         )
 
     @cached_property
+    def floating_model(self) -> Any:
+        """The same arm below a massless free-flyer at O0, with the axes of W, a `pinocchio.Model`.
+
+        Held still, the first six rows of its inverse dynamics are the wrench that the base exerts on the arm,
+        and their derivatives are exact.
+        """
+        name = "guardrail"
+        while self.model.existFrame(name):
+            name += "_"
+        floating = pin.Model()
+        X_WO = pin.SE3(np.eye(3), np.array(self.foot_point))
+        root = floating.addJoint(0, pin.JointModelFreeFlyer(), X_WO, name)
+        floating.addJointFrame(root)
+        floating = pin.appendModel(floating, self.model, floating.getFrameId(name), X_WO.inverse())
+        floating.inertias[root] = pin.Inertia.Zero()
+        floating.gravity = self.model.gravity
+        return floating
+
+    @cached_property
     def visual_model(self) -> Any:
         """Visual shapes, a `pinocchio.GeometryModel`; their meshes are read when it is first used.
 
@@ -159,6 +176,12 @@ class Robot:
     def tool_off(self) -> Robot:
         """The same robot with its tool off: no force acts on it."""
         return replace(self, tool_force=_ZERO_FORCE) if self.pushed else self
+
+    def loaded(self, mass: float) -> Robot:
+        """Return the same robot with a point mass, kg, more at its tool point."""
+        model = self.model.copy()
+        attach_payload(model, self.tool_frame, mass)
+        return replace(self, model=model, payload=self.payload + mass)
 
     @property
     def with_rigid_joints(self) -> Robot:

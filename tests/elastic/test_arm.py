@@ -24,7 +24,7 @@ from robot_files import load_copy
 
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia
-from cmbot.robot import JointElasticity, Kinematics, Robot, turn_axis
+from cmbot.robot import Dynamics, JointElasticity, Kinematics, Robot, turn_axis
 
 SEGMENTS = (1, 2, 5)
 HALF = np.array([0.5])
@@ -200,6 +200,18 @@ def test_the_payload_is_at_the_end_of_a_bending_link(tmp_path: Path) -> None:
     difference = np.subtract(loaded, without)
     assert difference[-1] == pytest.approx(4.0)
     np.testing.assert_allclose(difference[:-1], 0, atol=1e-12)
+
+
+def test_a_load_at_the_tool_of_a_softened_arm_counts_in_its_dynamics(cmbot_robot: Robot) -> None:
+    arm = make_arm(cmbot_robot)
+    q = np.full((1, cmbot_robot.dof), 0.3)
+    rest, loaded = (Dynamics(each.robot).static_efforts(q) for each in (arm, arm.softened(1.0, 4.0)))
+    point, J = (each[0] for each in Kinematics(cmbot_robot).tool_point_jacobians(q))
+    push = np.array([0.0, 0.0, -4.0 * 9.81])
+    np.testing.assert_allclose((loaded.guardrail_force - rest.guardrail_force)[0], push, atol=1e-9)
+    torque = (loaded.guardrail_torque - rest.guardrail_torque)[0]
+    np.testing.assert_allclose(torque, np.cross(point - cmbot_robot.foot_point, push), atol=1e-9)
+    np.testing.assert_allclose((loaded.joint_torque - rest.joint_torque)[0], -J.T @ push, atol=1e-9)
 
 
 @pytest.mark.parametrize("segments", SEGMENTS)

@@ -29,9 +29,9 @@ def motion(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def with_gravity(robot: Robot, gravity: FloatArray) -> Robot:
-    model, floating = robot.model.copy(), robot.floating_model.copy()
-    model.gravity = floating.gravity = pin.Motion(gravity, np.zeros(3))
-    return dataclasses.replace(robot, model=model, floating_model=floating)
+    model = robot.model.copy()
+    model.gravity = pin.Motion(gravity, np.zeros(3))
+    return dataclasses.replace(robot, model=model)
 
 
 @pytest.fixture

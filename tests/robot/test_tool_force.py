@@ -22,12 +22,11 @@ def pushed(robot: Robot, force: FloatArray | tuple[float, ...] = FORCE) -> Robot
 
 def loaded(robot: Robot, mass: float) -> Robot:
     """A robot with another point mass at its tool."""
-    models = [model.copy() for model in (robot.model, robot.floating_model)]
-    for model in models:
-        tool = model.frames[model.getFrameId(robot.tool_frame)]
-        point = pin.Inertia(mass, tool.placement.translation, np.zeros((3, 3)))
-        model.appendBodyToJoint(tool.parentJoint, point, pin.SE3.Identity())
-    return replace(robot, model=models[0], floating_model=models[1])
+    model = robot.model.copy()
+    tool = model.frames[model.getFrameId(robot.tool_frame)]
+    point = pin.Inertia(mass, tool.placement.translation, np.zeros((3, 3)))
+    model.appendBodyToJoint(tool.parentJoint, point, pin.SE3.Identity())
+    return replace(robot, model=model)
 
 
 def rows(dynamics: Dynamics, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
