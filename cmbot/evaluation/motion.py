@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicHermiteSpline
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import short_repr
@@ -48,10 +48,11 @@ class JointMotion:
         return self.v is not None and self.a is not None
 
     @cached_property
-    def spline(self) -> CubicSpline:
+    def spline(self) -> QuinticTrajectory:
         """The cubic spline through the points; at rest at both ends where no velocity is given there."""
-        ends = np.zeros((2, self.q.shape[1])) if self.v is None else self.v[[0, -1]]
-        return CubicSpline(self.t - self.t[0], self.q, bc_type=((1, ends[0]), (1, ends[1])))
+        return QuinticTrajectory.through(
+            self.t - self.t[0], self.q, None if self.v is None else self.v[[0, -1]]
+        )
 
     @cached_property
     def trajectory(self) -> QuinticTrajectory:
@@ -62,11 +63,9 @@ class JointMotion:
         InputError
             When times do not increase, or a number is not finite.
         """
-        t = self.t - self.t[0]
         if self.v is not None and self.a is not None:
-            return QuinticTrajectory(t=t, q=self.q, v=self.v, a=self.a)
-        # A cubic is a quintic.
-        return QuinticTrajectory(t=t, q=self.q, v=self.spline(t, 1), a=self.spline(t, 2))
+            return QuinticTrajectory(t=self.t - self.t[0], q=self.q, v=self.v, a=self.a)
+        return self.spline
 
     @property
     def spread(self) -> float:
@@ -83,4 +82,4 @@ class JointMotion:
         other = CubicHermiteSpline(t, self.q, self.v)(every)
         if self.is_quintic:
             other = self.trajectory.evaluate(every)
-        return float(np.abs(self.spline(every) - other).max())
+        return float(np.abs(self.spline.evaluate(every) - other).max())

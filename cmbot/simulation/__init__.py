@@ -9,10 +9,7 @@ from cmbot.simulation.metrics import (
     statistics as statistics,
 )
 from cmbot.simulation.options import SimulationOptions as SimulationOptions
-from cmbot.simulation.prescribed_motion import (
-    PrescribedMotion as PrescribedMotion,
-    PrescribedWork as PrescribedWork,
-)
+from cmbot.simulation.prescribed_work import PrescribedWork as PrescribedWork
 from cmbot.simulation.summary import (
     base_movement as base_movement,
     beyond_margin as beyond_margin,

@@ -18,7 +18,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.prescribed_motion import PrescribedWork
+from cmbot.simulation.prescribed_work import PrescribedWork
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -98,7 +98,7 @@ def executed(
 def _rates(work: PrescribedWork, times: FloatArray) -> FloatArray:
     v = np.empty((len(times), len(work.end)))
     for part, at, t in work.split(times):
-        v[at] = part.motion.states(t)[1]
+        v[at] = part.states(t)[1]
     v[times > work.duration] = 0.0
     return v
 

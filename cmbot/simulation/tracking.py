@@ -29,7 +29,8 @@ from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated
 from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
+from cmbot.simulation.prescribed_work import PrescribedWork
+from cmbot.trajectory import QuinticTrajectory
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -337,7 +338,7 @@ def track_work(
     motions: list[DrivenMotion] = [part.motion for part in work.parts]
     forces = [loaded[part.path is not None].external_forces for part in work.parts]
     if options.settle_s > 0:
-        motions.append(PrescribedMotion.held(work.end, options.settle_s))
+        motions.append(QuinticTrajectory.held(work.end, options.settle_s))
         forces.append(arm.external_forces)
     curve = None
     if is_executed(options):
@@ -463,7 +464,7 @@ def motion_tracking(
     )
 
 
-def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray:
+def _sag(arm: ElasticArm, motion: QuinticTrajectory, t: FloatArray) -> FloatArray:
     """Displacement (N, 3), m, of the tool at rest in the postures at times `t` (N,)."""
     from scipy.interpolate import CubicSpline
 

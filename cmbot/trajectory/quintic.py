@@ -135,6 +135,38 @@ class QuinticTrajectory(ShortRepr):
                 got = "a number that is too large or none"
                 raise InputError("QuinticTrajectory", name, got, f"finite numbers of at most {LARGEST:g}")
 
+    @classmethod
+    def through(cls, t: FloatArray, q: FloatArray, rates: FloatArray | None = None) -> QuinticTrajectory:
+        """Return the cubic spline through positions, whose velocity and acceleration are continuous.
+
+        Parameters
+        ----------
+        t : (m + 1,), s
+        q : (m + 1, n), rad
+        rates : (2, n), rad/s, optional
+            At both ends; left out: it rests there.
+
+        Raises
+        ------
+        InputError
+            When shapes differ, a number is not finite or beyond `LARGEST`, or times do not increase.
+        """
+        # It is slow to import.
+        from scipy.interpolate import CubicSpline
+
+        still = np.zeros_like(q)
+        known = cls(t=t, q=q, v=still, a=still)
+        begin, end = still[:2] if rates is None else rates
+        curve = CubicSpline(known.t, known.q, bc_type=((1, begin), (1, end)))
+        # A cubic is a quintic.
+        return cls(t=t, q=q, v=curve(t, 1), a=curve(t, 2))
+
+    @classmethod
+    def held(cls, q: FloatArray, seconds: float) -> QuinticTrajectory:
+        """Return what holds the joints at `q` (n,), rad, for some seconds."""
+        still = np.zeros((2, len(q)))
+        return cls(t=np.array([0.0, seconds]), q=still + q, v=still, a=still)
+
     @property
     def duration(self) -> float:
         """Time from the first knot to the last, s."""

@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.interpolate import PPoly
 from small_systems import (
     FloatArray,
     equilibrium,
@@ -24,7 +23,7 @@ from small_systems import (
 
 from cmbot.common.errors import CmbotError, SimulationDiverged
 from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 MASS, STIFFNESS, GRAVITY = 2.0, 800.0, 9.81
 SAG = MASS * GRAVITY / STIFFNESS
@@ -77,7 +76,7 @@ def test_the_equation_of_motion_holds_at_every_step() -> None:
 
 
 def states(
-    system: ElasticSystem, drive: PrescribedMotion, motion: ElasticMotion
+    system: ElasticSystem, drive: QuinticTrajectory, motion: ElasticMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """All coordinates, rates and accelerations, (N, n)."""
     joints = drive.states(motion.t)
@@ -146,7 +145,7 @@ def test_corrections_that_gain_nothing_are_left_out(monkeypatch: pytest.MonkeyPa
 def test_steps_are_longer_where_nothing_vibrates() -> None:
     """A slow motion, then a quick one, whose steps are those that were asked for."""
     system, t = soft_arm(), np.linspace(0.0, 60.0, 500)
-    slow = PrescribedMotion.through(t, np.column_stack([2e-4 * np.sin(np.pi * t / t[-1]) ** 2] * 2))
+    slow = QuinticTrajectory.through(t, np.column_stack([2e-4 * np.sin(np.pi * t / t[-1]) ** 2] * 2))
     start, runs = equilibrium(system, np.zeros(2)), []
     for longest in (1, 8):
         options = {"step": 0.004, "rho_inf": 0.8, "corrections": 2, "tolerance": 1e-8, "longest": longest}
@@ -244,12 +243,13 @@ def test_the_spectral_radius_is_what_is_left_of_the_infinitely_fast(rho_inf: flo
 def test_where_the_acceleration_jumps_the_step_ends() -> None:
     """A cart pulled by a pendulum that sets off, and stops, with full acceleration."""
     system = pendulum_on_a_cart()
-    off = PrescribedMotion(PPoly(np.array([[[0.5]], [[0.0]], [[0.0]]]), np.array([0.0, 0.7])))
-    on = PrescribedMotion(PPoly(np.array([[[-0.5]], [[0.7]], [[0.245]]]), np.array([0.0, 0.7])))
+    t, one = np.array([0.0, 0.7]), np.ones((2, 1))
+    off = QuinticTrajectory(t=t, q=np.array([[0.0], [0.245]]), v=t[:, None], a=one)
+    on = QuinticTrajectory(t=t, q=np.array([[0.245], [0.49]]), v=t[::-1, None], a=-one)
     ends = []
     for step in (0.004, 0.002, 0.001):
         integrator = GeneralizedAlpha(system, step=step, rho_inf=0.8, corrections=2)
-        still = PrescribedMotion.held(np.array([0.49]), 0.5)
+        still = QuinticTrajectory.held(np.array([0.49]), 0.5)
         motion = integrator.run([off, on, still], np.zeros(1), np.zeros(1))
         assert motion.t[-1] == pytest.approx(1.9)
         assert np.diff(motion.t).min() > 0

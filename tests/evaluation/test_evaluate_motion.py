@@ -136,7 +136,7 @@ def test_the_curve_is_the_spline_or_the_quintics(rng: np.random.Generator) -> No
     np.testing.assert_array_equal(quintic.trajectory.v, v)
     every = np.linspace(0, t[-1] - t[0], 4001)
     same_ends = JointMotion(t=t, q=q, v=v)
-    away = np.abs(quintic.trajectory.evaluate(every) - same_ends.spline(every)).max()
+    away = np.abs(quintic.trajectory.evaluate(every) - same_ends.spline.evaluate(every)).max()
     assert quintic.spread == pytest.approx(away, rel=2e-2)
 
 

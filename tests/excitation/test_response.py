@@ -26,7 +26,8 @@ from cmbot.excitation.response import (
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
-from cmbot.simulation import PrescribedMotion, PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+from cmbot.simulation import PrescribedWork, SimulationOptions, elastic_arm_of, track_work
+from cmbot.trajectory import QuinticTrajectory
 
 ZETA = 0.02
 
@@ -190,7 +191,7 @@ def test_the_whole_simulation_sways_as_the_modes_do(triangle_plan: Plan) -> None
     options = SimulationOptions(settle_s=0.5, step_s=step, output_step_s=step, damping=ZETA)
     arm = elastic_arm_of(triangle_plan, options)
     q = triangle_plan.trajectory.evaluate(np.array([8.0]))[0]
-    work = PrescribedWork.of([(PrescribedMotion.held(q, 6.0), triangle_plan.strokes[0].task.path)])
+    work = PrescribedWork.of([(QuinticTrajectory.held(q, 6.0), triangle_plan.strokes[0].task.path)])
     t = step * np.arange(3250)
     a = 0.4 * np.sin(2 * np.pi * np.array([3.6, 4.4, 2.0]) * t[:, None]) * np.minimum(t, 1.0)[:, None]
 

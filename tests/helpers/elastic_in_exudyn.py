@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmbot.elastic import ElasticBase
 from cmbot.robot import Robot
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 FloatArray = NDArray[np.float64]
 # cmbot's tubes neither stretch nor shear: neither may these, much.
@@ -20,7 +20,7 @@ _STIFFER = 100.0
 
 
 def simulate(
-    robot: Robot, base: ElasticBase, drive: PrescribedMotion, *, elements: int, step: float, every: int
+    robot: Robot, base: ElasticBase, drive: QuinticTrajectory, *, elements: int, step: float, every: int
 ) -> FloatArray:
     """Find the equilibrium of the first posture, then integrate; tool points (N, 3), m.
 
@@ -65,7 +65,7 @@ def simulate(
 
 
 def _build(
-    mbs: Any, robot: Robot, base: ElasticBase, drive: PrescribedMotion, elements: int, started: list[bool]
+    mbs: Any, robot: Robot, base: ElasticBase, drive: QuinticTrajectory, elements: int, started: list[bool]
 ) -> int:
     """Fill an empty system; the tool's node."""
     carrier, tube = robot.model.inertias[0], robot.elasticity["link_1"]
@@ -132,7 +132,7 @@ def _build(
     return int(node)
 
 
-def _angle(drive: PrescribedMotion, joint: int, started: list[bool]) -> Any:
+def _angle(drive: QuinticTrajectory, joint: int, started: list[bool]) -> Any:
     """What the joint is told. The static solver's time is none: until then the first posture is held."""
 
     def offset(mbs: Any, t: float, number: int, parameters: Any) -> list[float]:

@@ -9,7 +9,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import ToolTask
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
-from cmbot.simulation import PrescribedMotion, PrescribedWork, SimulationOptions, track_work
+from cmbot.simulation import PrescribedWork, SimulationOptions, track_work
 from cmbot.simulation.tracking import MotionTracking
 from cmbot.trajectory import QuinticTrajectory
 
@@ -20,17 +20,17 @@ def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
     )
 
 
-def swing(seconds: float, size: float = 0.15) -> PrescribedMotion:
+def swing(seconds: float, size: float = 0.15) -> QuinticTrajectory:
     """All joints out from the triangle's posture and back, from rest to rest."""
     t = np.linspace(0.0, seconds, 81)
     ways = np.sin(np.pi * t / seconds)[:, None] ** 2 * np.cos(np.arange(7) + t[:, None])
-    return PrescribedMotion.through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
+    return QuinticTrajectory.through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
 
 
 def track(
     arm: ElasticArm,
     task: ToolTask,
-    motion: PrescribedMotion,
+    motion: QuinticTrajectory,
     options: SimulationOptions,
     sag: Sag | None = None,
 ) -> MotionTracking:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import root
 
 from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -78,20 +78,20 @@ def soft_arm(softer: float = 1.0) -> ElasticSystem:
     return system_of(model, [2, 3], np.array([9e4, 2e4, 3e4]) / softer)
 
 
-def resting(joints: int, seconds: float) -> PrescribedMotion:
-    return PrescribedMotion.held(np.zeros(joints), seconds)
+def resting(joints: int, seconds: float) -> QuinticTrajectory:
+    return QuinticTrajectory.held(np.zeros(joints), seconds)
 
 
-def swinging(joints: int, seconds: float = 2.0) -> PrescribedMotion:
+def swinging(joints: int, seconds: float = 2.0) -> QuinticTrajectory:
     """From rest to rest, each joint by another way."""
     t = np.linspace(0.0, seconds, 41)
     ways = [0.8 * np.sin(np.pi * t / seconds) ** 2 * np.cos(k + t) for k in range(joints)]
-    return PrescribedMotion.through(t, np.column_stack(ways))
+    return QuinticTrajectory.through(t, np.column_stack(ways))
 
 
 def integrate(
     system: ElasticSystem,
-    drive: PrescribedMotion,
+    drive: QuinticTrajectory,
     *,
     step: float,
     u: Sequence[float] | FloatArray | None = None,

@@ -17,7 +17,7 @@ from cmbot.identification import estimate, measured_arm, read_measurements, rema
 from cmbot.identification.records import read_record, ring_down
 from cmbot.planning import robot_of
 from cmbot.scene import load_scene
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 STEP = 1 / 400
 
@@ -148,7 +148,7 @@ def test_the_arm_after_a_tap(tmp_path: Path, rng: np.random.Generator) -> None:
     start = np.linalg.solve(modes.mass, J[:3, arm.elastic].T @ [3.0, -2.0, 4.0])
     system = ElasticSystem.of(arm, modes.damping(0.015))
     tapped = GeneralizedAlpha(system, step=0.002, rho_inf=0.95, corrections=1)
-    motion = tapped.run([PrescribedMotion.held(q, 3.0)], modes.u, start)
+    motion = tapped.run([QuinticTrajectory.held(q, 3.0)], modes.u, start)
     a = motion.a @ J[:3, arm.elastic].T
     a = np.concatenate([np.zeros((150, 3)), a])
     path = write(tmp_path / "tap.csv", a + 0.005 * np.abs(a).max() * rng.normal(size=a.shape), 0.002)

@@ -21,7 +21,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, certify, plan, precheck_scene
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, Tool
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 FORCE = (20.0, 0.0, -60.0)
 GRAVITY = 9.81
@@ -155,7 +155,7 @@ def test_the_bent_arm_is_pushed_in_the_simulation() -> None:
     free = elastic_arm(asked.cell.robot.tool_off, asked.cell.arm.base)
     q = asked.state.posture
     bent = Sag(asked.cell.arm).at(q[None]).u[0]
-    still = PrescribedMotion.held(q, 0.1)
+    still = QuinticTrajectory.held(q, 0.1)
 
     def moved(system: ElasticSystem) -> float:
         run = GeneralizedAlpha(system, step=1e-3, rho_inf=0.9, corrections=2)

@@ -10,7 +10,6 @@ from cmbot.archive import load_tracking, save, save_tracking
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan
 from cmbot.simulation import (
-    PrescribedMotion,
     PrescribedWork,
     SimulationOptions,
     simulate,
@@ -20,6 +19,7 @@ from cmbot.simulation import (
     tracking_verdict,
 )
 from cmbot.simulation.execution import executed, is_executed
+from cmbot.trajectory import QuinticTrajectory
 
 OPTIONS = SimulationOptions(settle_s=0.5)
 
@@ -29,8 +29,8 @@ def work() -> PrescribedWork:
     """Two joints through a few places, in two parts."""
     t = np.linspace(0, 0.6, 4)
     q = np.array([[0.0, 1.0], [0.1, 0.9], [0.4, 0.5], [0.5, 0.4]])
-    there = PrescribedMotion.through(t, q)
-    return PrescribedWork.of([(there, None), (PrescribedMotion.through(t, q[::-1]), None)])
+    there = QuinticTrajectory.through(t, q)
+    return PrescribedWork.of([(there, None), (QuinticTrajectory.through(t, q[::-1]), None)])
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from cmbot.elastic.arm import ElasticOptions, elastic_arm
 from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 FloatArray = NDArray[np.float64]
 DIAMETER, WALL, LENGTH, DENSITY, PAYLOAD = 0.04, 0.002, 0.9, 2700.0, 2.0
@@ -45,7 +45,7 @@ def two_tubes(folder: Path) -> Robot:
     return write_robot(folder, links, np.array([LENGTH, 0.0, 0.0]), payload=PAYLOAD)
 
 
-def ours(robot: Robot, base: ElasticBase, drive: PrescribedMotion, segments: int) -> FloatArray:
+def ours(robot: Robot, base: ElasticBase, drive: QuinticTrajectory, segments: int) -> FloatArray:
     arm = elastic_arm(robot, base, ElasticOptions(segments=segments))
     start = Sag(arm).at(drive.states([0.0])[0]).u[0]
     system = ElasticSystem.of(arm, np.zeros_like(arm.stiffness))
@@ -68,7 +68,7 @@ def test_exudyn_moves_the_tool_alike(tmp_path: Path) -> None:
     base = ElasticBase(stiffness=stiffness, mass=none, damping=none)
     t = np.linspace(0.0, 1.2, 25)
     out_and_back = np.sin(np.pi * t / 1.2) ** 2
-    drive = PrescribedMotion.through(
+    drive = QuinticTrajectory.through(
         t, np.column_stack([0.3 + 0.2 * out_and_back, -0.4 + 0.5 * out_and_back])
     )
     theirs = simulate(robot, base, drive, elements=16, step=1e-3, every=round(OUTPUT / 1e-3))

@@ -19,7 +19,6 @@ from cmbot.planning import Plan, ToolTask
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
 from cmbot.simulation import (
-    PrescribedMotion,
     SimulationOptions,
     Tracking,
     base_movement,
@@ -30,6 +29,7 @@ from cmbot.simulation import (
     tracking_rows,
 )
 from cmbot.simulation.tracking import MotionTracking, elastic_arm_of
+from cmbot.trajectory import QuinticTrajectory
 
 OPTIONS = SimulationOptions()
 
@@ -37,13 +37,13 @@ OPTIONS = SimulationOptions()
 def planned_motion(plan: Plan, **changes: Any) -> MotionTracking:
     """What `simulate` finds for the planned motion, without the baseline's."""
     options = replace(OPTIONS, **changes)
-    motion = PrescribedMotion.along(plan.trajectory)
+    motion = plan.trajectory
     return track(elastic_arm_of(plan, options), plan.task, motion, options, sag=plan.sag)
 
 
 def baseline_motion(plan: Plan, **changes: Any) -> MotionTracking:
     options = replace(OPTIONS, **changes)
-    motion = PrescribedMotion.through(plan.baseline.samples.t, plan.baseline.samples.q)
+    motion = QuinticTrajectory.through(plan.baseline.samples.t, plan.baseline.samples.q)
     return track(elastic_arm_of(plan, options), plan.task, motion, options)
 
 
@@ -79,7 +79,7 @@ def test_the_error_starts_at_the_sag_and_follows_it(tracking: Tracking, short_pl
     assert np.linalg.norm(tool, axis=1).min() > 3e-3
     assert np.abs(motion.dynamic).max() < 0.5 * np.abs(motion.static).max()
     # The trajectory is driven as it is.
-    again = track(arm, short_plan.task, PrescribedMotion.along(short_plan.trajectory), OPTIONS)
+    again = track(arm, short_plan.task, short_plan.trajectory, OPTIONS)
     np.testing.assert_array_equal(again.error, motion.error)
 
 
@@ -97,7 +97,7 @@ def test_the_sag_of_a_slow_motion_is_computed_less_often(
     for factor in (1.0, 20.0):
         slow = replace(given, t=factor * given.t, v=given.v / factor, a=given.a / factor**2)
         t = np.linspace(0.0, slow.t[-1], 50)
-        found = tracking_module._sag(arm, PrescribedMotion.along(slow), t)
+        found = tracking_module._sag(arm, slow, t)
         np.testing.assert_allclose(found, Sag(arm).at(slow.evaluate(t)).tool, rtol=0, atol=1e-8)
     assert counts[1] < 0.2 * t[-1] / 0.02
 
@@ -211,7 +211,7 @@ def test_a_compensated_motion_errs_from_where_it_expects_the_tool(
     np.testing.assert_array_equal(foreseen.baseline.command, tracking.baseline.command[:n])
     # Measured from where a rigid tool would be, the error is the sag, as ever.
     arm = elastic_arm_of(compensated, OPTIONS)
-    from_rigid = track(arm, compensated.task, PrescribedMotion.along(compensated.trajectory), OPTIONS)
+    from_rigid = track(arm, compensated.task, compensated.trajectory, OPTIONS)
     sag = Sag(arm).at(compensated.trajectory.evaluate(motion.t[:801:20])).tool
     np.testing.assert_allclose((from_rigid.error[:n] - motion.error)[:801:20], sag, atol=1e-6)
     assert np.linalg.norm(sag, axis=1).min() > 3e-3
@@ -251,13 +251,13 @@ def test_an_arm_at_rest_stays_at_rest_and_one_let_go_swings_about_its_sag(
     cmbot_robot: Robot, task: ToolTask
 ) -> None:
     arm, start = arm_on_its_guardrail(cmbot_robot), swing(1.0).states([0.0])[0][0]
-    resting = track(arm, task, PrescribedMotion.held(start, 1.0), OPTIONS)
+    resting = track(arm, task, QuinticTrajectory.held(start, 1.0), OPTIONS)
     assert np.abs(resting.static).max() > 3e-3
     assert np.abs(resting.dynamic).max() < 1e-9
     assert resting.metrics.residual is not None
     assert resting.metrics.residual.diameter < 1e-9
     options = replace(OPTIONS, initial="undeformed", damping=0.1)
-    motion = track(arm, task, PrescribedMotion.held(start, 20.0), options)
+    motion = track(arm, task, QuinticTrajectory.held(start, 20.0), options)
     np.testing.assert_allclose(motion.error[0], 0.0, atol=1e-12)
     sag = motion.static[0]
     along = motion.error @ sag / (sag @ sag)
@@ -268,7 +268,7 @@ def test_an_arm_at_rest_stays_at_rest_and_one_let_go_swings_about_its_sag(
 def test_the_damping_ratio_is_that_of_the_first_modes(cmbot_robot: Robot, task: ToolTask) -> None:
     """Seen in the decay of a free vibration, when the higher modes have gone: exp(-ratio omega t)."""
     arm = arm_on_its_guardrail(cmbot_robot.with_rigid_joints)
-    still = PrescribedMotion.held(swing(1.0).states([0.0])[0][0], 14.0)
+    still = QuinticTrajectory.held(swing(1.0).states([0.0])[0][0], 14.0)
     for damping in (0.01, 0.03):
         motion = track(arm, task, still, replace(OPTIONS, initial="undeformed", damping=damping))
         square = (motion.dynamic**2).sum(axis=1)

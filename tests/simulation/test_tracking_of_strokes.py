@@ -13,7 +13,6 @@ from cmbot.planning import Job, Plan
 from cmbot.robot import Kinematics
 from cmbot.simulation import (
     MotionTracking,
-    PrescribedMotion,
     PrescribedWork,
     SimulationOptions,
     Tracking,
@@ -23,6 +22,7 @@ from cmbot.simulation import (
     tracking_verdict,
 )
 from cmbot.simulation.tracking import elastic_arm_of
+from cmbot.trajectory import QuinticTrajectory
 
 OPTIONS = SimulationOptions(settle_s=0.5)
 
@@ -87,7 +87,7 @@ def test_a_held_arm_comes_to_rest_with_the_force_and_without(strokes_plan: Plan)
     """What rests hangs at its own sag."""
     arm, task = elastic_arm_of(strokes_plan, OPTIONS), strokes_plan.task
     q = strokes_plan.trajectory.q[:1]
-    still = PrescribedMotion.held(q[0], 1.5)
+    still = QuinticTrajectory.held(q[0], 1.5)
     work = PrescribedWork.of([(still, task.path), (still, None), (still, task.path)])
     motion = track_work(arm, work, replace(OPTIONS, damping=0.3))
     for end, sag in ((1.5, Sag(arm)), (3.0, Sag(arm.tool_off)), (4.5, Sag(arm)), (5.0, Sag(arm))):
@@ -99,7 +99,7 @@ def test_the_state_goes_on_from_segment_to_segment(strokes_plan: Plan) -> None:
     """Without a force, the work is one motion from rest to rest."""
     options = replace(OPTIONS, settle_s=0.0)
     arm = elastic_arm_of(strokes_plan, options).tool_off
-    whole = track(arm, strokes_plan.task, PrescribedMotion.along(strokes_plan.trajectory), options)
+    whole = track(arm, strokes_plan.task, strokes_plan.trajectory, options)
     parts = track_work(arm, PrescribedWork.planned(strokes_plan), options)
     np.testing.assert_allclose(parts.error, whole.error, atol=2e-6)
     assert np.abs(whole.dynamic).max() > 1e-4

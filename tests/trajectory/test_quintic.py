@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from finite_differences import FloatArray
 from hypothesis import given, settings, strategies as st
 from scipy.interpolate import BPoly
 
@@ -226,3 +227,66 @@ def test_lists_and_whole_numbers_are_taken_as_floats() -> None:
     x = QuinticTrajectory(t=[0, 1], q=[[0], [1]], v=[[0], [0]], a=[[0], [0]])
     assert all(getattr(x, key).dtype == float for key in GOOD)
     np.testing.assert_allclose(x.evaluate([0.5]), [[0.5]])
+
+
+def assert_consistent(motion: QuinticTrajectory, times: FloatArray) -> None:
+    """Rates and accelerations are the derivatives of the positions."""
+    h = 1e-5
+    q, v, a = motion.states(times)
+    for low, high, value in (
+        (motion.states(times - h)[0], motion.states(times + h)[0], v),
+        (motion.states(times - h)[1], motion.states(times + h)[1], a),
+    ):
+        np.testing.assert_allclose((high - low) / (2 * h), value, atol=1e-6 * (1 + np.abs(value).max()))
+    assert q.shape == v.shape == a.shape
+
+
+def test_samples_are_met_from_rest_to_rest(rng: np.random.Generator) -> None:
+    t, q = np.linspace(0, 2, 41), rng.normal(size=(41, 3))
+    motion = QuinticTrajectory.through(t, q)
+    met, v, _ = motion.states(t)
+    np.testing.assert_allclose(met, q, atol=1e-13)
+    np.testing.assert_allclose(v[[0, -1]], 0.0, atol=1e-12)
+    assert_consistent(motion, rng.uniform(0.01, 1.99, 100))
+    # Velocity and acceleration do not jump.
+    before, after = motion.states(t[1:-1] - 1e-9), motion.states(t[1:-1] + 1e-9)
+    np.testing.assert_allclose(before[1], after[1], atol=1e-4)
+    np.testing.assert_allclose(before[2], after[2], rtol=1e-4, atol=1e-2)
+
+
+def test_a_smooth_motion_comes_back_from_its_samples() -> None:
+    t = np.linspace(0, 2, 201)
+    motion = QuinticTrajectory.through(t, np.sin(np.pi * t / 2)[:, None] ** 2)
+    times = np.linspace(0, 2, 1777)
+    q, v, a = (x[:, 0] for x in motion.states(times))
+    np.testing.assert_allclose(q, np.sin(np.pi * times / 2) ** 2, atol=1e-8)
+    np.testing.assert_allclose(v, np.pi / 2 * np.sin(np.pi * times), atol=1e-5)
+    np.testing.assert_allclose(a, np.pi**2 / 2 * np.cos(np.pi * times), atol=1e-2)
+
+
+def test_held_joints_do_not_move() -> None:
+    q = np.array([0.3, -0.2])
+    motion = QuinticTrajectory.held(q, 1.5)
+    assert motion.duration == 1.5
+    positions, rates, accelerations = motion.states([0.0, 0.7, 1.5])
+    np.testing.assert_array_equal(positions, [q, q, q])
+    np.testing.assert_array_equal(rates, 0.0)
+    np.testing.assert_array_equal(accelerations, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "key"),
+    [
+        ([0.0], [[1.0]], "t"),
+        ([0.0, 0.0], [[1.0], [1.0]], "t"),
+        ([0.0, np.nan], [[1.0], [1.0]], "t"),
+        ([0.0, np.inf], [[1.0], [1.0]], "t"),
+        ([0.0, 1.0], [[1.0]], "q"),
+        ([0.0, 1.0], [1.0, 2.0], "q"),
+        ([0.0, 1.0], [[1.0], [np.nan]], "q"),
+    ],
+)
+def test_bad_samples_are_refused(t: list[float], q: list[object], key: str) -> None:
+    with pytest.raises(InputError) as caught:
+        QuinticTrajectory.through(np.array(t), np.array(q))
+    assert (caught.value.source, caught.value.key) == ("QuinticTrajectory", key)

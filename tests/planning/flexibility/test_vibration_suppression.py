@@ -24,7 +24,7 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility import leg_vibration
 from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
 from cmbot.planning.workcell.workcell import Workcell
-from cmbot.simulation import PrescribedMotion, SimulationOptions
+from cmbot.simulation import SimulationOptions
 from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
@@ -66,14 +66,14 @@ def robust() -> Plan:
 
 def swing(of: Plan, options: SimulationOptions) -> FloatArray:
     """How far the tool moves along x, y and z after the stop (3,), less the sag, m."""
-    motion = PrescribedMotion.along(of.trajectory)
+    motion = of.trajectory
     tracking = track(elastic_arm_of(of, options), of.task, motion, options)
     return np.ptp(tracking.dynamic[tracking.t > tracking.stop + 1e-9], axis=0)
 
 
 def diameter(of: Plan, options: SimulationOptions) -> float:
     """Largest distance between two positions of the tool after the stop, m."""
-    motion = PrescribedMotion.along(of.trajectory)
+    motion = of.trajectory
     tracking = track(elastic_arm_of(of, options), of.task, motion, options)
     return float(pdist(tracking.dynamic[tracking.t > tracking.stop + 1e-9][::5]).max())
 
