@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from cmbot.common.installation import install_command
@@ -140,6 +141,7 @@ def _made_again(kind: type[CmbotError], args: tuple[Any, ...]) -> CmbotError:
     return error
 
 
+@dataclass(eq=False, repr=False)
 class InputError(CmbotError, ValueError):
     """The input is wrong; reads ``FILE:LINE: KEY: got X, expected Y``.
 
@@ -163,22 +165,16 @@ class InputError(CmbotError, ValueError):
     holds = ""
     """What the format of a file begins with that was given in place of another one, or ``xml``."""
 
-    def __init__(
-        self,
-        source: str,
-        key: str,
-        got: object,
-        expected: str,
-        choices: Sequence[str] = (),
-        *,
-        line: int | None = None,
-    ) -> None:
-        self.source = source
-        self.key = key
-        self.got = got
-        self.expected = expected
-        self.choices = tuple(choices)
-        self.line = line
+    source: str
+    key: str
+    got: object
+    expected: str
+    choices: Sequence[str] = ()
+    _: KW_ONLY
+    line: int | None = None
+
+    def __post_init__(self) -> None:
+        self.choices = tuple(self.choices)
         super().__init__("")
 
     def set_line(self, line: int | None) -> None:
@@ -247,6 +243,7 @@ class PlanningError(CmbotError, RuntimeError):
     """Whether the time was over before it was known whether there is one."""
 
 
+@dataclass(eq=False, repr=False)
 class PathNotFound(PlanningError):
     """No joint path follows the tool path to its end.
 
@@ -268,29 +265,23 @@ class PathNotFound(PlanningError):
         The time was over.
     """
 
-    def __init__(
-        self,
-        reason: str,
-        *,
-        time: float,
-        progress: float,
-        smallest_singular_value: float,
-        pair: tuple[str, str] | None = None,
-        pace: float = 1.0,
-        stopped: bool = False,
-    ) -> None:
-        self.reason = reason
-        self.pace = pace
-        self.stopped = stopped
-        self.time = time
-        self.progress = progress
-        self.smallest_singular_value = smallest_singular_value
-        self.pair = pair
-        text = f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}"
-        near = f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
-        super().__init__(text, near if 0 < smallest_singular_value < _NEAR_SINGULAR_VALUE else "")
+    reason: str
+    _: KW_ONLY
+    time: float
+    progress: float
+    smallest_singular_value: float
+    pair: tuple[str, str] | None = None
+    pace: float = 1.0
+    stopped: bool = False
+
+    def __post_init__(self) -> None:
+        value, covered = self.smallest_singular_value, f"{self.progress:.0%} of the tool path"
+        near = f"; near a singular posture (smallest singular value {value:.3g})"
+        text = f"no path beyond t = {self.time:.2f} s ({covered}): {self.reason}"
+        super().__init__(text, near if 0 < value < _NEAR_SINGULAR_VALUE else "")
 
 
+@dataclass(eq=False, repr=False)
 class OptimisationFailed(PlanningError):
     """The trajectory optimisation ended without a point that meets its constraints.
 
@@ -312,30 +303,23 @@ class OptimisationFailed(PlanningError):
         The time was over.
     """
 
-    def __init__(
-        self,
-        reason: str,
-        *,
-        constraint: str,
-        violation: float,
-        trajectory: object = None,
-        limit: Limit = Limit.OTHER,
-        time: float | None = None,
-        stopped: bool = False,
-    ) -> None:
-        self.reason = reason
-        self.time = time
-        self.trajectory = trajectory
-        self.limit = limit
-        self.stopped = stopped
-        self.constraint = constraint
-        self.violation = violation
-        at = "" if time is None else f" at t = {time:.2f} s"
-        worst = f"; worst constraint: {constraint}{at}, {beyond(violation)}"
-        met = f"; every constraint is met, {constraint} with the least room"
-        super().__init__(reason, worst if violation > 0 else met)
+    reason: str
+    _: KW_ONLY
+    constraint: str
+    violation: float
+    trajectory: object = None
+    limit: Limit = Limit.OTHER
+    time: float | None = None
+    stopped: bool = False
+
+    def __post_init__(self) -> None:
+        at = "" if self.time is None else f" at t = {self.time:.2f} s"
+        worst = f"; worst constraint: {self.constraint}{at}, {beyond(self.violation)}"
+        met = f"; every constraint is met, {self.constraint} with the least room"
+        super().__init__(self.reason, worst if self.violation > 0 else met)
 
 
+@dataclass(eq=False, repr=False)
 class LimitViolation(PlanningError):
     """A finished trajectory violates a limit.
 
@@ -353,25 +337,17 @@ class LimitViolation(PlanningError):
         What the quantity is.
     """
 
-    def __init__(
-        self,
-        quantity: str,
-        *,
-        time: float,
-        value: float,
-        bound: float,
-        unit: str,
-        limit: Limit = Limit.OTHER,
-    ) -> None:
-        self.quantity = quantity
-        self.limit = limit
-        self.time = time
-        self.value = value
-        self.bound = bound
-        self.unit = unit
-        super().__init__(
-            f"{quantity} is {value:.6g} {unit} at t = {time:.3f} s, the bound is {bound:.6g} {unit}"
-        )
+    quantity: str
+    _: KW_ONLY
+    time: float
+    value: float
+    bound: float
+    unit: str
+    limit: Limit = Limit.OTHER
+
+    def __post_init__(self) -> None:
+        found, bound = (f"{each:.6g} {self.unit}" for each in (self.value, self.bound))
+        super().__init__(f"{self.quantity} is {found} at t = {self.time:.3f} s, the bound is {bound}")
 
 
 class SimulationDiverged(CmbotError, RuntimeError):
