@@ -71,11 +71,9 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
     used = [time, *columns]
 
     def derivative(letter: str) -> FloatArray | None:
-        found = [table.index(f"{letter}{number}") for number in range(1, robot.dof + 1)]
-        if any(each is None for each in found):
-            return None
-        used.extend(found)  # type: ignore[arg-type]
-        return table.numbers(found)  # type: ignore[arg-type]
+        found = table.columns(f"{letter}{number}" for number in range(1, robot.dof + 1))
+        used.extend(found)
+        return table.numbers(found) if found else None
 
     velocity, acceleration = derivative("v"), derivative("a")
     return JointMotion(

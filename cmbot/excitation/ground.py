@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.reading.input_files import read_csv
+from cmbot.common.reading.text_table import read_table
 from cmbot.common.reading.validation import shown
 from cmbot.common.representation import ShortRepr
 from cmbot.excitation.response import require_place
@@ -43,10 +43,10 @@ def read_record(path: Path, key: str = "") -> Record:
     SceneError
         When it cannot be read, or is no such file.
     """
-    rows = _read(path, key, ("t", "ax", "ay", "az"))
+    rows, lines = _read(path, key, ("t", "ax", "ay", "az"))
     if not np.all(np.diff(rows[:, 0]) > 0):
-        line = int(np.argmin(np.diff(rows[:, 0]) > 0)) + 3
-        raise SceneError(str(path), f"line {line}", f"t = {rows[line - 2, 0]:g}", "times that ascend")
+        row = int(np.argmin(np.diff(rows[:, 0]) > 0)) + 1
+        raise SceneError(str(path), f"line {lines[row]}", f"t = {rows[row, 0]:g}", "times that ascend")
     t, a = rows[:, 0] - rows[0, 0], rows[:, 1:]
     mean = np.trapezoid(a, t, axis=0) / t[-1]
     axis = int(np.abs(mean).argmax())
@@ -68,37 +68,23 @@ def axles_of(name: str) -> Train:
     """
     if name in TRAINS:
         return train_of(name)
-    rows = _read(Path(name), "excitation.deck.trains.axles", ("at_m", "load_kn"))
+    rows, lines = _read(Path(name), "excitation.deck.trains.axles", ("at_m", "load_kn"))
     if not np.all(rows[:, 1] > 0):
-        line = int(np.argmin(rows[:, 1] > 0))
-        raise SceneError(name, f"line {line + 2}", f"load_kn = {rows[line, 1]:g}", "loads above zero, kN")
+        row = int(np.argmin(rows[:, 1] > 0))
+        raise SceneError(name, f"line {lines[row]}", f"load_kn = {rows[row, 1]:g}", "loads above zero, kN")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     return Train(axles=rows[:, 0] - rows[0, 0], loads=1e3 * rows[:, 1])
 
 
-def _read(path: Path, key: str, columns: Sequence[str]) -> FloatArray:
-    """The numbers of a CSV file with a heading, (N, k), two rows or more."""
-    rows = read_csv(path, SceneError, kind="a CSV file", largest=_LARGEST_RECORD_BYTES)
-    heading = [name.strip() for name in rows[0]] if rows else []
-    if heading != list(columns):
-        raise SceneError(str(path), "line 1", shown(",".join(heading)), f"the columns {','.join(columns)}")
-    numbers = [_numbers(row, len(columns)) for row in rows[1:]]
-    expected = f"{len(columns)} finite numbers"
-    for line, (row, read) in enumerate(zip(rows[1:], numbers, strict=True), start=2):
-        if read is None:
-            raise SceneError(str(path), f"line {line}", shown(",".join(row)), expected)
-    if len(numbers) < 2:
-        raise SceneError(str(path), key, f"{len(numbers)} rows", f"two rows or more of {expected}")
-    return np.array(numbers)
-
-
-def _numbers(row: Sequence[str], count: int) -> list[float] | None:
-    """The finite numbers of a row; None where it has others, or not so many."""
-    try:
-        numbers = [float(cell) for cell in row]
-    except ValueError:
-        return None
-    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+def _read(path: Path, key: str, columns: Sequence[str]) -> tuple[FloatArray, tuple[int, ...]]:
+    """The numbers of a CSV file with a heading, (N, k), two rows or more, and their lines."""
+    table = read_table(path, SceneError, kind="a CSV file of numbers", largest=_LARGEST_RECORD_BYTES)
+    if table.names != columns or any(table.units):
+        got = shown(",".join(table.names))
+        raise SceneError(str(path), "line 1", got, f"the columns {','.join(columns)}, without units")
+    if len(table.rows) < 2:
+        raise SceneError(str(path), key, "1 row", "two rows or more")
+    return table.numbers(range(len(columns))), table.lines
 
 
 def require_inputs(scene: Scene, robot: Robot) -> None:

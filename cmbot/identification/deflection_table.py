@@ -28,7 +28,6 @@ _SETUP_COLUMNS = {
     **{key: key for key in _SETUP_KEYS if key != "weight_kg"},
     **{"gauge_mm": "gauge_sd_mm", "gauge": "gauge_sd_mm"},
 }
-_IN_MILLIMETRES = {"": 1.0, "mm": 1.0, "m": 1e3, "um": 1e-3, "µm": 1e-3}
 _ROW_KEY = re.compile(r"measurements\[(\d+)\](.*)")
 # Columns for whoever reads the table.
 _REMARKS = ("note", "notes", "remark", "comment", "n", "id", "index", "row", "#", "")
@@ -69,8 +68,7 @@ def read_deflections(
     axes = {name[1]: table.index(name) for name in _DEFLECTION_COLUMNS}
     measured = {axis: column for axis, column in axes.items() if column is not None}
     _require_columns(table, [*used, weight, record, *setup.values(), *measured.values()])
-    scales = [_scale(table, column) for column in measured.values()]
-    deflections = table.numbers(list(measured.values()), gaps=True) * scales
+    deflections = 1e3 * table.lengths(list(measured.values()), "mm", gaps=True)
     if weight is not None:
         setup["weight_kg"] = weight
     given = {key: _values(table, column) for key, column in setup.items()}
@@ -116,14 +114,6 @@ def _require_columns(table: TextTable, used: Sequence[int | None]) -> None:
         if column not in used and name not in _REMARKS:
             expected = f"a column of a joint (with _deg in degrees) or a known one{hint(name, known)}"
             raise InputError(table.source, f"line 1, {name}", "an unknown column", expected, known)
-
-
-def _scale(table: TextTable, column: int) -> float:
-    """What makes millimetres of a column."""
-    unit = table.units[column].lower()
-    if unit not in _IN_MILLIMETRES:
-        raise InputError(table.source, f"line 1, {table.names[column]}", f"the unit {unit}", "mm, m or um")
-    return _IN_MILLIMETRES[unit]
 
 
 def _values(table: TextTable, column: int) -> Sequence[object]:

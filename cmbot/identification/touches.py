@@ -16,7 +16,7 @@ the feature, and of planes ``nx,ny,nz``, of edges ``ex,ey,ez``, of cylinders the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -27,7 +27,7 @@ from pydantic import ConfigDict, Field
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.fields import Posture, Text, Vector, given_of
-from cmbot.common.reading.input_files import read_csv
+from cmbot.common.reading.text_table import read_table
 from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 from cmbot.common.representation import ShortRepr
@@ -201,37 +201,37 @@ def read_touches(source: str | Path | Mapping[str, Any], scene: Scene | str | Pa
 
 def _from_csv(path: Path) -> TouchesFile:
     """The content of a CSV file, whose columns are known by their names."""
-    rows = read_csv(path, InputError, kind="a CSV file of touches", largest=_LARGEST_CSV)
-    rows = [row for row in rows if row and not row[0].lstrip().startswith("#")]
-    heading = [name.strip().lower() for name in rows[0]] if rows else []
-    joints = [name for name in heading if name.startswith("q")]
-    columns, key = joints, "posture_deg" if joints and joints[0].endswith("_deg") else "posture"
-    if {"x", "y", "z"} <= set(heading):
-        columns, key = ["x", "y", "z"], "place"
-    if not columns or not {"px", "py", "pz"} <= set(heading):
+    table = read_table(path, InputError, kind="a CSV file of touches", largest=_LARGEST_CSV)
+    joints = [k for k, name in enumerate(table.names) if name.startswith("q")]
+    place = table.columns("xyz")
+    point, normal, edge = (table.columns(f"{letter}{axis}" for axis in "xyz") for letter in "pne")
+    if not (place or joints) or not point:
         expected = "the columns x,y,z or q1_deg,q2_deg,..., then px,py,pz, and nx,ny,nz or ex,ey,ez"
-        raise InputError(str(path), "line 1", shown(",".join(heading)), expected)
+        raise InputError(str(path), "line 1", shown(",".join(table.names)), expected)
+
+    def given(numbers: FloatArray) -> list[Any]:
+        """The numbers of each row that has all of them; of the others nothing."""
+        return [row.tolist() if len(row) and np.isfinite(row).all() else None for row in numbers]
+
+    def lengths(columns: Sequence[int]) -> list[Any]:
+        return given(table.lengths(columns, "m", gaps=True))
+
+    key, places = "place", lengths(place)
+    if not place:
+        key = "posture_deg" if table.names[joints[0]].endswith("_deg") else "posture"
+        places = given(table.numbers(joints, gaps=True))
+    axes = (given(table.numbers(columns, gaps=True)) for columns in (normal, edge))
+    each = zip(places, lengths(point), *axes, lengths(table.columns(["radius"])), strict=True)
     touches = list[dict[str, Any]]()
-    for line, row in enumerate(rows[1:], start=2):
-        cells = dict(zip(heading, (cell.strip() for cell in row), strict=False))
-        try:
-            given = {name: float(text) for name, text in cells.items() if text}
-        except ValueError as error:
-            raise InputError(str(path), f"line {line}", shown(",".join(row)), "numbers") from error
-
-        def vector(letter: str, given: dict[str, float] = given) -> list[float] | None:
-            each = [given.get(f"{letter}{axis}") for axis in "xyz"]
-            return None if None in each else [x for x in each if x is not None]
-
-        point, normal, edge = vector("p"), vector("n"), vector("e")
-        shape: dict[str, Any] = {"point": point}
-        if normal is not None:
-            shape = {"plane": {"point": point, "normal": normal}}
-        elif edge is not None and "radius" in given:
-            shape = {"cylinder": {"point": point, "direction": edge, "radius_m": given["radius"]}}
-        elif edge is not None:
-            shape = {"edge": {"point": point, "direction": edge}}
-        touches.append({key: [given.get(name) for name in columns], **shape})
+    for at, p, n, e, radius in each:
+        shape: dict[str, Any] = {"point": p}
+        if n:
+            shape = {"plane": {"point": p, "normal": n}}
+        elif e and radius:
+            shape = {"cylinder": {"point": p, "direction": e, "radius_m": radius[0]}}
+        elif e:
+            shape = {"edge": {"point": p, "direction": e}}
+        touches.append({key: at, **shape})
     data = {"format": "cmbot-touches/1", "scene": "given", "touches": touches}
     return validated(TouchesFile, data, str(path), InputError)
 

@@ -325,9 +325,10 @@ def test_modes_and_a_stiffness_are_one_too_many() -> None:
     [
         ("t,x,y,z\n0,0,0,0\n1,0,0,0\n", "t,ax,ay,az"),
         ("t,ax,ay,az\n0,0,0,0\n", "two rows or more"),
-        ("t,ax,ay,az\n0,0,0,0\n1,0,nan,0\n", "line 3: got '1,0,nan,0', expected 4 finite"),
-        ("t,ax,ay,az\n0,0,0,0\n1,0,0\n", "line 3: got '1,0,0'"),
-        ("t,ax,ay,az\n0,0,0,0.1g\n1,0,0,0\n", "line 2"),
+        ("t,ax,ay,az\n0,0,0,0\n1,0,nan,0\n", "line 3, ay: got 'nan', expected a finite number"),
+        ("t,ax,ay,az\n0,0,0,0\n1,0,0\n", "line 3: got 3 cells"),
+        ("t,ax,ay,az\n0,0,0,0.1g\n1,0,0,0\n", "line 2, az"),
+        ("t,ax (g),ay,az\n0,0,0,0\n1,0,0,0\n", "without units"),
         ("t,ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n", "mean of 9.8 m/s2 along z"),
         ("t,ax,ay,az\n0,0,0,0\n2,0,0,0\n1,0,0,0\n", "line 4"),
     ],

@@ -28,6 +28,7 @@ _SEPARATORS = (";", "\t", ",")
 _COMMENT_MARK = "#"
 # Of a place the unit may end the name, too: x_mm, dx/mm.
 _PLACE_AND_UNIT = re.compile(r"\s*(d?[xyz])[_/](m|mm|cm|um|in)\s*", re.IGNORECASE)
+_IN_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
 # What stands where nothing was measured.
 GAPS = ("", "-", "nan", "null", "none")
 
@@ -63,6 +64,11 @@ class TextTable(ShortRepr):
         """Return the number of the column that has one of some names; None where there is none."""
         return next((self.names.index(name) for name in names if name in self.names), None)
 
+    def columns(self, names: Iterable[str]) -> list[int]:
+        """Return the numbers of the columns of those names; none of them where any is not there."""
+        found = [self.index(name) for name in names]
+        return [] if None in found else [column for column in found if column is not None]
+
     def joints(self, names: Sequence[str]) -> tuple[FloatArray, list[int]]:
         """Return the positions (N, n) of joints, rad and m, and the numbers of their columns.
 
@@ -84,6 +90,23 @@ class TextTable(ShortRepr):
             columns.append(column)
             factors.append(math.radians(1.0) if at is None else 1.0)
         return self.numbers(columns) * np.array(factors), columns
+
+    def lengths(self, columns: Sequence[int], unit: str, *, gaps: bool = False) -> FloatArray:
+        """Return lengths (N, k), m, of k columns, in `unit` where they name none; else as `numbers`.
+
+        Raises
+        ------
+        InputError
+            When a column has another unit; or as by `numbers`.
+        """
+        scales = list[float]()
+        for column in columns:
+            given = self.units[column].lower() or unit
+            if given not in _IN_METRES:
+                key, got = f"line 1, {self.names[column]}", f"the unit {given}"
+                raise self.error_type(self.source, key, got, "m, cm, mm, um or in")
+            scales.append(_IN_METRES[given])
+        return np.asarray(self.numbers(columns, gaps=gaps) * scales)
 
     def numbers(self, columns: Sequence[int], *, gaps: bool = False) -> FloatArray:
         """Return the numbers (N, k) of k columns, all finite; NaN for empty cells where `gaps` may be.

@@ -27,7 +27,6 @@ _QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
 _ANGLE_COLUMNS = ("roll", "pitch", "yaw")
 _NORMAL_COLUMNS = (("nx", "ny", "nz"), ("i", "j", "k"))
 _TIME_COLUMNS = ("seconds", "time", "t")
-_IN_METRES = {"": 1.0, "m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 _POSE_COLUMNS, _AXIS_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw", "nx,ny,nz or i,j,k"
 # As messages have them: pose.position.x, pose.orientation.w, target-pos_x, target-rot_w.
 _PART_OF_POSE = re.compile(r"(?:.*[^a-z])?(pos|position|rot|orientation|quaternion)[._]([wxyz])")
@@ -82,20 +81,10 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     """
     table = read_table(path, SceneError, kind="a table of waypoints", largest=_MAX_WAYPOINT_BYTES)
     table = replace(table, names=tuple(_plain_name(name) for name in table.names))
-    places = [table.index(name) for name in _POSITION_COLUMNS]
-    if None in places:
+    if not (used := table.columns(_POSITION_COLUMNS)):
         got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
         raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_needed(keep)}")
-    used = [k for k in places if k is not None]
-    scales = [_IN_METRES.get(table.units[k].lower()) for k in used]
-    if None in scales:
-        unit = table.units[used[scales.index(None)]]
-        raise SceneError(table.source, "line 1", f"the unit {unit}", "m, mm, cm or in")
-    units = [
-        _IN_METRES[given.units] if not table.units[k] else scale
-        for k, scale in zip(used, scales, strict=True)
-    ]
-    points = table.numbers(used) * np.array(units, dtype=float)
+    points = table.lengths(used, given.units)
     quaternions = _orientations(table, keep, used)
     time = table.index(*_TIME_COLUMNS)
     seconds = None
@@ -124,9 +113,7 @@ def _plain_name(name: str) -> str:
 
 def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray:
     """Quaternions (N, 4), w first, in the coordinates of a table; their columns are added to those `used`."""
-    quaternion = [table.index(name) for name in _QUATERNION_COLUMNS]
-    if None not in quaternion:
-        columns = [k for k in quaternion if k is not None]
+    if columns := table.columns(_QUATERNION_COLUMNS):
         used += columns
         numbers = table.numbers(columns)
         size = np.linalg.norm(numbers, axis=1)
@@ -135,20 +122,16 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             raise SceneError(table.source, key, f"a quaternion of length {size[wrong[0]]:.3g}", "a unit one")
         return numbers
     for suffix, factor in (("", 1.0), ("_deg", np.pi / 180)):
-        angles = [table.index(f"{name}{suffix}") for name in _ANGLE_COLUMNS]
-        if None not in angles:
-            columns = [k for k in angles if k is not None]
+        if columns := table.columns(f"{name}{suffix}" for name in _ANGLE_COLUMNS):
             used += columns
             in_degrees = np.pi / 180 if table.units[columns[0]].lower() in ("deg", "°") else factor
             turns = in_degrees * table.numbers(columns)
             return np.asarray(Rotation.from_euler("xyz", turns).as_quat(scalar_first=True))
     for names in _NORMAL_COLUMNS:
-        normals = [table.index(name) for name in names]
-        if None not in normals:
+        if columns := table.columns(names):
             if keep in (None, "pose"):
                 got = f"the columns {','.join(names)}, which say where the tool's axis is"
                 raise SceneError(table.source, "line 1", got, "keep: axis, or another cone, in the scene")
-            columns = [k for k in normals if k is not None]
             used += columns
             return _against(table.numbers(columns), table, names)
     if keep != "position":
