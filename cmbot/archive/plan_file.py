@@ -219,10 +219,10 @@ def _stroke(stroke: StrokePlan, robot: Robot) -> dict[str, Any]:
         "moved_deg": math.degrees(start.moved),
         "failures": [_data(made(FailureFile, failure)) for failure in start.failures],
     }
-    data |= {"passes": [_data(report) for report in stroke.passes], "runs": stroke.runs}
-    for each in data["passes"]:
-        del each["worst"]["time"]  # files say what is violated, not when
-    return data
+    dumped = adapter(ExchangeReport).dump_python
+    # Files say what is violated, not when.
+    passes = [dumped(report, mode="json", exclude={"worst": {"time"}}) for report in stroke.passes]
+    return data | {"passes": passes, "runs": stroke.runs}
 
 
 def _baseline(baseline: StrokeBaseline | None) -> dict[str, Any] | None:
