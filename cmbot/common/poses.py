@@ -25,10 +25,14 @@ def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
     (4, 4)
         Homogeneous, read-only.
     """
+    return read_only(turned_pose(xyz, Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()))
+
+
+def turned_pose(xyz: ArrayLike, R: ArrayLike) -> FloatArray:
+    """Return the pose (4, 4) of a position (3,), m, and a rotation (3, 3)."""
     X = np.eye(4)
-    X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
-    X[:3, 3] = xyz
-    return read_only(X)
+    X[:3, :3], X[:3, 3] = R, xyz
+    return X
 
 
 def rpy_deg(R: FloatArray) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.poses import pose
+from cmbot.common.poses import pose, turned_pose
 from cmbot.common.reading.fields import SHORTEST_LEG
 from cmbot.common.reading.validation import counted
 from cmbot.toolpath.curves import Arc, Blend, Curve, CylinderCurve, Line, Spline, rounded
@@ -98,7 +98,7 @@ class _PathBuilder:
         if file.start_pose is not None:
             self._point, turn = self._at(file.start_pose, f"{place.key}.from")
             self._R = _turned(turn, self._R)
-            self._X_tool = _matrix(self._point, self._R)
+            self._X_tool = turned_pose(self._point, self._R)
         elif file.waypoints:
             self._point, self._R = (each[0] for each in waypoint_poses(file.waypoints))
         elif file.raster is not None:
@@ -445,12 +445,6 @@ def _axis_turn(R: FloatArray, axis: FloatArray) -> FloatArray:
     """The shortest rotation vector that leads the z axis of an orientation to another."""
     turn = shortest_turns(R[None, :, 2], axis[None])[0]
     return turn if np.linalg.norm(turn) > _ZERO_ANGLE else np.zeros(3)
-
-
-def _matrix(point: FloatArray, R: FloatArray) -> FloatArray:
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = R, point
-    return X
 
 
 def _turned(turn: FloatArray, R: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
+from cmbot.common.poses import turned_pose
 from cmbot.common.representation import ShortRepr
 from cmbot.toolpath.curves import Curve, Line
 from cmbot.toolpath.time_law import LegLaw, ProcessPart, TimeLaw
@@ -171,9 +172,7 @@ class ToolPath(ShortRepr):
     @property
     def end_pose(self) -> FloatArray:
         """Pose (4, 4) of the tool in W where the path ends."""
-        X_WT = np.eye(4)
-        X_WT[:3, 3], X_WT[:3, :3] = self.corners[-1], self.rotation([self.duration])[0]
-        return X_WT
+        return turned_pose(self.corners[-1], self.rotation([self.duration])[0])
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""

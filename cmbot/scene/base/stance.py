@@ -11,6 +11,7 @@ from pydantic import Field, PlainSerializer, WrapValidator
 
 from cmbot.collision import Box
 from cmbot.common.arrays import FloatArray, cross
+from cmbot.common.poses import turned_pose
 from cmbot.common.reading.fields import Angle, Coordinate, Slug, Vector, read_as
 from cmbot.common.reading.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
@@ -127,9 +128,7 @@ class Stance(CheckedFields):
     @property
     def root(self) -> FloatArray:
         """Pose (4, 4) of foot 1 in W."""
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = self.rotation, self.foot
-        return X
+        return turned_pose(self.foot, self.rotation)
 
     @property
     def locked(self) -> dict[str, float]:
@@ -159,10 +158,8 @@ def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
     along, _, out = face.axes
     turn = np.radians(place.turn_deg)
     z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * cross(out, along)
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([cross(out, z), out, z])
-    X[:3, 3] = axis_point(guardrail, place) + (face.depth - PLATE_OFFSET_M) * out
-    return X
+    point = axis_point(guardrail, place) + (face.depth - PLATE_OFFSET_M) * out
+    return turned_pose(point, np.column_stack([cross(out, z), out, z]))
 
 
 def swept_foot(guardrail: Guardrail, place: FootholdFile) -> tuple[Box, FloatArray]:

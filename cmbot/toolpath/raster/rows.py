@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.poses import turned_pose
 from cmbot.toolpath.raster.pieces import RowPiece
 from cmbot.toolpath.raster.raster import CylinderPatch, Raster
 
@@ -41,8 +42,7 @@ def tool_cylinder(
     zero = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT_COSINE else 2]
     zero = zero - (zero @ axis) * axis
     zero /= np.linalg.norm(zero)
-    X_FC = np.eye(4)
-    X_FC[:3, :3], X_FC[:3, 3] = np.stack([zero, np.cross(axis, zero), axis], axis=1), pipe.centre
+    X_FC = turned_pose(pipe.centre, np.stack([zero, np.cross(axis, zero), axis], axis=1))
     x, y, z = np.eye(3)
     y = np.sign(pipe.angle) * y
     away = raster.away(z, y, x) if pipe.rows == "along" else raster.away(y, z, x)

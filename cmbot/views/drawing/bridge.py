@@ -16,7 +16,7 @@ import numpy as np
 
 from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.poses import pose
+from cmbot.common.poses import pose, turned_pose
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene
@@ -178,8 +178,7 @@ def _bar(name: str, start: Sequence[float], end: Sequence[float], width: float) 
     # Its sides are level, as far as they can be.
     x = np.cross([0.0, 0.0, 1.0], z)
     x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < _TOUCHING else x / np.linalg.norm(x)
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), np.add(start, end) / 2
+    X = turned_pose(np.add(start, end) / 2, np.stack([x, np.cross(z, x), z], axis=1))
     return Obstacle(name=name, shape=Box(size=(width, width, length)), X_WO=X)
 
 
