@@ -10,6 +10,7 @@ from typing import Any
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
+from cmbot.common.reading.validation import resolved
 
 # A step of a key such as tool_path.legs[0].by[2].
 _KEY_STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[(\d{1,4})\]")
@@ -81,16 +82,10 @@ def _schema_key(name: str) -> str | None:
 
 def _block(schema: Mapping[str, Any], node: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
     """The block that a value of a JSON Schema is, or the first item of a list of blocks."""
-    suffix = ""
-    while True:
-        if "$ref" in node:
-            node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
-        elif "anyOf" in node:
-            node = node["anyOf"][0]
-        elif isinstance(node.get("items"), Mapping):
-            node, suffix = node["items"], f"{suffix}[0]"
-        else:
-            return node, suffix
+    node, suffix = resolved(schema, node), ""
+    while isinstance(node.get("items"), Mapping):
+        node, suffix = resolved(schema, node["items"]), f"{suffix}[0]"
+    return node, suffix
 
 
 def _put(content: dict[str, Any], key: str, value: Any) -> None:

@@ -390,9 +390,9 @@ def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
     return first
 
 
-def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> dict[str, Any]:
+def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> Mapping[str, Any]:
     """The part of a JSON Schema that describes the value at `loc`; empty where there is none."""
-    node = _resolved(schema, schema)
+    node = resolved(schema, schema)
     for step in loc:
         if isinstance(step, str):
             others = node.get("additionalProperties")
@@ -400,20 +400,20 @@ def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> dict[str, An
         else:
             fixed = node.get("prefixItems", [])
             node = fixed[step] if step < len(fixed) else node.get("items", {})
-        node = _resolved(schema, node)
+        node = resolved(schema, node)
     return node
 
 
-def _form(schema: dict[str, Any], node: dict[str, Any], kind: str) -> str:
+def _form(schema: dict[str, Any], node: Mapping[str, Any], kind: str) -> str:
     """What a list has, and some keys of a mapping, in words; empty of other kinds of values."""
     is_list = _PHRASES[kind] == "a list"
-    keys = list((_resolved(schema, node.get("items", {})) if is_list else node).get("properties", {}))
+    keys = list((resolved(schema, node.get("items", {})) if is_list else node).get("properties", {}))
     named = f", with keys such as {', '.join(keys[:_NAMED_KEYS])}"
     return (" of mappings" if is_list else "") + named if keys else ""
 
 
-def _resolved(schema: dict[str, Any], node: dict[str, Any]) -> dict[str, Any]:
-    """Follow references, and pass from "this or null" to this."""
+def resolved(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what a node of a JSON Schema is: references followed, and of "this or null" this."""
     while True:
         if "$ref" in node:
             node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
