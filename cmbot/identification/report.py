@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -17,6 +16,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
+from cmbot.common.reading.yaml_reader import yaml_text
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.stiffness_parameters import symmetric
@@ -525,24 +525,4 @@ def _exactness(sag: SagAlong) -> str:
 def stiffness_text(stiffness: IdentifiedStiffness, source: str) -> str:
     """Return the file of an identified stiffness; `source` is where the measurements came from."""
     data = stiffness.model_dump(mode="json", exclude_none=True)
-    lines = [
-        f"# Written by cmbot identify from {source}. In a scene: identified: THIS_FILE",
-        f"format: {data['format']}",
-    ]
-    for kind in ("links", "joints"):
-        lines.append(f"{kind}:" if data[kind] else f"{kind}: []")
-        lines += [f"  - {json.dumps(each)}" for each in data[kind]]
-    if "base" in data:
-        lines.append("base:")
-        lines.append(f"  footholds: {json.dumps(data['base']['footholds'])}")
-        for key in ("stiffness", "mass"):
-            if key in data["base"]:
-                lines.append(f"  {key}:")
-                lines += [f"    - {json.dumps(row)}" for row in data["base"][key]]
-    if "measured" in data:
-        lines.append(f"measured: {json.dumps(data['measured'])}")
-    if "damping" in data:
-        lines.append(f"damping: {json.dumps(data['damping'])}")
-    lines.append("covariance:")
-    lines += [f"  - {json.dumps(row)}" for row in data["covariance"]]
-    return "\n".join(lines) + "\n"
+    return f"# Written by cmbot identify from {source}. In a scene: identified: THIS_FILE\n{yaml_text(data)}"
