@@ -66,7 +66,7 @@ def read_input(
             # A byte more than allowed shows a file that has grown since.
             content = b"" if status.st_size > largest else file.read(largest + 1)
         _require_size(max(status.st_size, len(content)), largest)
-    except (OSError, ValueError, _RefusedError) as error:
+    except (OSError, ValueError) as error:
         raise _input_error(error, path, error_type, kind, key) from error
     return content
 
@@ -96,8 +96,9 @@ def require_input(
         status = path.stat()
         _require_regular(status.st_mode, kind)
         _require_size(status.st_size, largest)
-        _require_filled(status.st_size, kind)
-    except (OSError, ValueError, _RefusedError) as error:
+        if status.st_size == 0:
+            raise InputError("", "", "an empty file", kind)
+    except (OSError, ValueError) as error:
         raise _input_error(error, path, error_type, kind, key) from error
 
 
@@ -112,35 +113,22 @@ def require_replaceable(path: Path, error_type: type[InputError]) -> None:
         raise error_type(str(path), "", got, "the path of a new file, or of a regular one")
 
 
-class _RefusedError(Exception):
-    """A file that is there but not taken."""
-
-    def __init__(self, got: str, expected: str) -> None:
-        super().__init__(got)
-        self.got, self.expected = got, expected
-
-
 def _require_regular(mode: int, kind: str) -> None:
     if stat.S_ISDIR(mode):
-        raise _RefusedError("a folder", kind)
+        raise InputError("", "", "a folder", kind)
     if not stat.S_ISREG(mode):
-        raise _RefusedError("something that is not a regular file", kind)
+        raise InputError("", "", "something that is not a regular file", kind)
 
 
 def _require_size(size: int, largest: int) -> None:
     if size > largest:
-        raise _RefusedError("a larger file", f"at most {largest / 1e6:.3g} MB")
-
-
-def _require_filled(size: int, kind: str) -> None:
-    if size == 0:
-        raise _RefusedError("an empty file", kind)
+        raise InputError("", "", "a larger file", f"at most {largest / 1e6:.3g} MB")
 
 
 def _input_error(
     error: Exception, path: Path, error_type: type[InputError], kind: str, key: str
 ) -> InputError:
-    if isinstance(error, _RefusedError):
+    if isinstance(error, InputError):
         return error_type(str(path), key, error.got, error.expected)
     if isinstance(error, FileNotFoundError):
         return error_type(str(path), key, "no such file", kind)
