@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic_core import from_json, to_json
 
 from cmbot.accuracy import Accuracy, Work, WorkPath, accuracy_of, sway_along
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted, require_type
@@ -450,26 +450,18 @@ def _planned_bending(plan: Plan) -> Bending | None:
 
 def _given(t: ArrayLike, q: ArrayLike | None, v: ArrayLike | None, a: ArrayLike | None) -> JointMotion:
     """A motion from the arguments of `evaluate`."""
-    arrays = dict[str, FloatArray]()
-    for name, value in (("t", t), ("q", q), ("v", v), ("a", a)):
-        if value is not None:
-            try:
-                arrays[name] = np.asarray(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                got = type(value).__name__
-                raise InputError("cmbot.evaluate", name, got, "an array of numbers") from None
-    if "q" not in arrays:
+    given = {"t": t, "q": q, "v": v, "a": a}
+    if q is None:
         raise InputError("cmbot.evaluate", "q", "nothing", "positions (N, n) at the times t")
-    times = arrays["t"]
-    for name, array in arrays.items():
-        expected = (len(times),) if name == "t" else (times.size, *arrays["q"].shape[1:2])
-        if array.shape != expected or array.ndim != (1 if name == "t" else 2):
-            raise InputError("cmbot.evaluate", name, f"the shape {array.shape}", "t (N,) and q, v, a (N, n)")
-        if not np.isfinite(array).all():
-            raise InputError("cmbot.evaluate", name, "a number that is not finite", "finite numbers")
-    if len(times) < 2 or not (np.diff(times) > 0).all():
-        raise InputError("cmbot.evaluate", "t", counted(len(times), "time"), "two or more that increase")
-    return JointMotion(t=times, q=arrays["q"], v=arrays.get("v"), a=arrays.get("a"))
+    try:
+        arrays = {k: np.asarray(x, dtype=np.float64) for k, x in given.items() if x is not None}
+        still = np.zeros_like(arrays["q"])
+        QuinticTrajectory(**({"v": still, "a": still} | arrays))
+    except InputError as error:
+        raise InputError("cmbot.evaluate", error.key, error.got, error.expected) from error
+    except (TypeError, ValueError) as error:
+        raise InputError("cmbot.evaluate", "", str(error), "arrays of numbers, t (N,) and (N, n)") from error
+    return JointMotion(t=arrays["t"], q=arrays["q"], v=arrays.get("v"), a=arrays.get("a"))
 
 
 _FIGURE_ROWS: tuple[tuple[str, str, float, int, bool], ...] = (
@@ -515,10 +507,6 @@ def _told(job: Job, bending: Bending | None) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Dataclasses and numbers as JSON has them: null where a number is infinite."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return from_json(to_json(value, inf_nan_mode="null"))

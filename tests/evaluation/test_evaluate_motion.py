@@ -214,10 +214,10 @@ def test_files_that_are_no_motion(
     [
         ([0, 1], None, "cmbot.evaluate: q"),
         ([0, 1], [[0.0] * 6] * 2, "q: got 6 columns"),
-        ([0, 1], [[0.0] * 7] * 3, "the shape"),
+        ([0, 1], [[0.0] * 7] * 3, "q: got shape"),
         ([1, 1], [[0.0] * 7] * 2, "t: got"),
-        ([0, 1], [[np.nan] * 7] * 2, "not finite"),
-        (["a", "b"], [[0.0] * 7] * 2, "an array of numbers"),
+        ([0, 1], [[np.nan] * 7] * 2, "q: got a number that is too large or none"),
+        (["a", "b"], [[0.0] * 7] * 2, "arrays of numbers"),
     ],
 )
 def test_arguments_that_are_no_motion(t: object, q: object, told: str) -> None:
