@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field
 
-from cmbot.common.reading.validation import refusal
+from cmbot.common.errors import InputError
+from cmbot.common.reading.validation import CheckedFields, refusal
 from cmbot.common.representation import ShortRepr
 
 Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
@@ -22,10 +23,8 @@ def _share(ratio: object) -> object:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationOptions(ShortRepr):
+class SimulationOptions(CheckedFields, ShortRepr):
     """How a motion is simulated; every option has a default.
-
-    The bounds in the annotations are checked by `cmbot.simulate`.
 
     Attributes
     ----------
@@ -65,8 +64,6 @@ class SimulationOptions(ShortRepr):
         Newton corrections a step at most: steps in which a second one gains nothing have one.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
     step_s: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.002
     output_step_s: Annotated[float, Field(ge=1e-4, le=0.02)] = 0.005
     settle_s: Annotated[float, Field(ge=0, le=60)] = 2.0
@@ -89,9 +86,7 @@ class SimulationOptions(ShortRepr):
         """Return the damping asked for; where none is, the `ratio` of the robot."""
         return ratio if self.damping is None else self.damping
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
+    def _check(self) -> None:
         if self.set_point_rate_hz is not None and self.servo_bandwidth_hz is None:
             expected = "a number beside set_point_rate_hz: without a servo the joints would jump"
-            raise refusal(expected, got="nothing", key=("servo_bandwidth_hz",))
-        return self
+            raise InputError("SimulationOptions", "servo_bandwidth_hz", "nothing", expected)

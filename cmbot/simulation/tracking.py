@@ -5,17 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.reading.validation import checked_options
+from cmbot.common.reading.validation import CheckedFields, checked_options
 from cmbot.common.representation import ShortRepr, card
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
@@ -125,7 +125,7 @@ class MotionTracking(ShortRepr):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StiffnessCase:
+class StiffnessCase(CheckedFields):
     """What matters of the motions where all stiffness is another.
 
     Attributes
@@ -138,8 +138,6 @@ class StiffnessCase:
         Largest distance between two positions of the tool after the stop, of each; None where that is not
         simulated.
     """
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     stiffness: Annotated[float, Field(gt=0)]
     off_path: Annotated[tuple[Distance, ...], Field(min_length=1, max_length=2)]
