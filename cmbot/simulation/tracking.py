@@ -248,9 +248,9 @@ def simulate(
             if told is not None:
                 told((before + reached) / total)
 
-        cases = []
+        stated, cases = elastic_arm_of(plan, options), []
         for factor in factors:
-            arm, motions = elastic_arm_of(plan, _softened(options, factor)), list[MotionTracking]()
+            arm, motions = stated.softened(factor), list[MotionTracking]()
             for work, sag in works:
                 motions.append(track_work(arm, work, options, report, sag, held=held))
                 before += work.duration + options.settle_s
@@ -265,12 +265,6 @@ def simulate(
             _case(factor, *motions) for factor, motions in zip(factors[1:], cases[1:], strict=True)
         ),
     )
-
-
-def _softened(options: SimulationOptions, factor: float) -> SimulationOptions:
-    """The options with all stiffness times `factor`."""
-    names = ("guardrail_factor", "link_factor", "joint_factor")
-    return replace(options, **{name: factor * getattr(options, name) for name in names})
 
 
 def _case(factor: float, *motions: MotionTracking) -> StiffnessCase:
