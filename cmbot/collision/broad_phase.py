@@ -16,7 +16,7 @@ import coal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.robot import Chain, Robot
+from cmbot.robot import Chain, Robot, box_about
 
 # Postures are treated in blocks of this many, whose arrays fit the processor's cache.
 _POSTURES_PER_BLOCK = 512
@@ -238,9 +238,8 @@ def _rounded_box(shape: Any) -> _RoundedBox:
         case coal.Box():
             half[:] = geometry.halfSide
         case _:
-            geometry.computeLocalAABB()
-            box = geometry.aabb_local
-            centre, half = 0.5 * (box.min_ + box.max_), 0.5 * (box.max_ - box.min_)
+            low, high = box_about(geometry)
+            centre, half = 0.5 * (low + high), 0.5 * (high - low)
     return _RoundedBox(
         joint=int(shape.parentJoint),
         axes=np.array(shape.placement.rotation.T),

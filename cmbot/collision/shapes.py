@@ -18,7 +18,7 @@ from cmbot.collision.mesh_file import load_mesh
 from cmbot.collision.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.robot import Robot, convex_hull, encloses_volume, solid_points
+from cmbot.robot import Robot, box_about, convex_hull, encloses_volume, solid_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -233,8 +233,7 @@ def extent_of(obstacle: Obstacle) -> FloatArray:
     """
     corners = list[FloatArray]()
     for shape in coal_shapes(obstacle.shape, obstacle.name):
-        shape.computeLocalAABB()
-        corners += map(np.array, product(*zip(shape.aabb_local.min_, shape.aabb_local.max_, strict=True)))
+        corners += map(np.array, product(*box_about(shape).T))
     placed = np.array(corners) @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3]
     return np.array([placed.min(axis=0), placed.max(axis=0)])
 

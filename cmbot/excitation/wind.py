@@ -13,6 +13,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.excitation.response import Loads
+from cmbot.robot import box_about
 
 AIR_KG_M3 = 1.25
 """Density of the air: EN 1991-1-4, 4.5."""
@@ -55,9 +56,8 @@ def link_loads(direction: FloatArray, factor: float = 1.0) -> Loads:
             if link < 0:
                 continue
             place = data.oMi[first[link]] * shape.placement
-            shape.geometry.computeLocalAABB()
-            box = shape.geometry.aabb_local
-            size, middle = box.max_ - box.min_, place.act((box.max_ + box.min_) / 2)
+            low, high = box_about(shape.geometry)
+            size, middle = high - low, place.act((high + low) / 2)
             area = float(np.abs(place.rotation.T @ direction) @ (size[[1, 2, 0]] * size[[2, 0, 1]]))
             force = factor * area * direction
             for joint in (first[link], last[link]):

@@ -13,6 +13,7 @@ from cmbot.robot.description.hulls import (
     solid_points as solid_points,
 )
 from cmbot.robot.description.mesh_file import (
+    box_about as box_about,
     faces_of as faces_of,
     is_mesh as is_mesh,
     locate_meshes as locate_meshes,

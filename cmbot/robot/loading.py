@@ -33,6 +33,7 @@ from cmbot.robot.description.completion import (
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.limits_file import JointLimitsFile, read_joint_limits
+from cmbot.robot.description.mesh_file import box_about
 from cmbot.robot.description.self_collision import PAIR, srdf_of
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import Elasticity, read_elasticity
@@ -182,9 +183,7 @@ def _require_size(robot: Robot) -> None:
         hull = isinstance(shape.geometry, coal.ConvexBase)
         if shape.parentJoint == 0 and not hull:
             continue
-        shape.geometry.computeLocalAABB()
-        corners = np.array([shape.geometry.aabb_local.min_, shape.geometry.aabb_local.max_])
-        if (size := float(np.abs(corners).max())) > most:
+        if (size := float(np.abs(box_about(shape.geometry)).max())) > most:
             link = robot.model.frames[shape.parentFrame].name
             file = Path(shape.meshPath).name if hull else "a shape"
             got = f"{file} that extends to {size:.4g} m, of an arm that reaches {robot.reach:.4g} m"

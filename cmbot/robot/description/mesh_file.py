@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -76,10 +77,17 @@ def locate_meshes(
 
     for link, _, mesh in _meshes(root, "collision"):
         locate(link, mesh)
+    return _refused_as_boxes(root, locate)
+
+
+def _refused_as_boxes(
+    root: ElementTree.Element, require: Callable[[ElementTree.Element, ElementTree.Element], None]
+) -> tuple[tuple[str, str], ...]:
+    """Replace visual meshes that `require` refuses by boxes: their keys, and what is the matter."""
     told = []
     for link, visual, mesh in list(_meshes(root, "visual")):
         try:
-            locate(link, mesh)
+            require(link, mesh)
         except ModelError as error:
             told.append((error.key, str(error.got)))
             _replace_by_box(link, visual)
@@ -151,11 +159,15 @@ def faces_of(mesh: Any) -> IntArray:
     return np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)
 
 
+def box_about(shape: Any) -> FloatArray:
+    """Return the smallest and the largest coordinates of a shape in its own frame, (2, 3), m."""
+    shape.computeLocalAABB()
+    return np.array([shape.aabb_local.min_, shape.aabb_local.max_])
+
+
 def is_near(shape: Any) -> bool:
     """Return whether a shape is finite and lies within `FARTHEST` of its origin."""
-    shape.computeLocalAABB()
-    corners = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
-    return bool((np.abs(corners) <= FARTHEST).all())
+    return bool((np.abs(box_about(shape)) <= FARTHEST).all())
 
 
 def require_near_meshes(root: ElementTree.Element, tag: str, source: str) -> None:
@@ -173,14 +185,7 @@ def replace_unreadable(root: ElementTree.Element, source: str) -> tuple[tuple[st
 
     A box is that about the link's collision shapes. A link with other visual shapes does without one.
     """
-    loader, told = mesh_loader(), []
-    for link, visual, mesh in list(_meshes(root, "visual")):
-        try:
-            _require_near(link, mesh, loader, source)
-        except ModelError as error:
-            told.append((error.key, str(error.got)))
-            _replace_by_box(link, visual)
-    return tuple(told)
+    return _refused_as_boxes(root, partial(_require_near, loader=mesh_loader(), source=source))
 
 
 def _require_near(link: ElementTree.Element, mesh: ElementTree.Element, loader: Any, source: str) -> None:
@@ -238,8 +243,7 @@ def _corners(collision: ElementTree.Element) -> FloatArray:
                     shape = _loaded(part, mesh_loader())
     if shape is None or not is_near(shape):
         return np.empty((0, 3))
-    box = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
-    corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3)
+    corners = np.array(list(product(*box_about(shape).T)))
     origin = collision.find("origin")
     xyz, rpy = (np.zeros(3) if origin is None else _numbers(origin.get(k, "0 0 0")) for k in ("xyz", "rpy"))
     return np.asarray(corners @ pin.rpy.rpyToMatrix(rpy).T + xyz)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.planning import Plan
-from cmbot.robot import Chain, Robot
+from cmbot.robot import Chain, Robot, box_about
 from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface
@@ -177,9 +177,7 @@ def link_corners(robot: Robot, poses: FloatArray) -> FloatArray:
     """Origins of frames with `poses` (N, n, 7), and corners of boxes about the links' shapes, in W (K, 3)."""
     found = [poses[..., :3].reshape(-1, 3)]
     for shape in robot.collision_model.geometryObjects:
-        shape.geometry.computeLocalAABB()
-        box = shape.geometry.aabb_local
-        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
+        corners = np.array(list(product(*box_about(shape.geometry).T)))
         corners = corners @ shape.placement.rotation.T + shape.placement.translation
         if shape.parentJoint:
             pose = poses[:, shape.parentJoint - 1]
