@@ -12,6 +12,7 @@ from cmbot.robot.description.hulls import (
     encloses_volume as encloses_volume,
     solid_points as solid_points,
 )
+from cmbot.robot.description.limits_file import RATE_KEYS as RATE_KEYS
 from cmbot.robot.description.mesh_file import (
     box_about as box_about,
     faces_of as faces_of,
@@ -55,7 +56,7 @@ from cmbot.robot.kinematics import (
     ToolBatch as ToolBatch,
     link_poses as link_poses,
 )
-from cmbot.robot.limits import JointLimits as JointLimits
+from cmbot.robot.limits import ASSUMPTIONS as ASSUMPTIONS, JointLimits as JointLimits
 from cmbot.robot.loading import (
     ARM_JOINTS as ARM_JOINTS,
     Side as Side,
@@ -65,4 +66,4 @@ from cmbot.robot.loading import (
     other_foot as other_foot,
     srdf_text as srdf_text,
 )
-from cmbot.robot.robot import Robot as Robot
+from cmbot.robot.robot import SAME_PLACE_M as SAME_PLACE_M, Robot as Robot

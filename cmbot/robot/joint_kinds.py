@@ -40,7 +40,7 @@ def turn_axis(joint: Any) -> FloatArray:
     return np.asarray(data.S, dtype=np.float64).reshape(6)[3:]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointUnits:
     """Names of the units of one joint's position, its rates and its torque, which is a force where it slides.
 
@@ -52,27 +52,15 @@ class JointUnits:
     acceleration: str
     jerk: str
     torque: str
-    factor: float = 1.0
-
-
-_SLIDING = JointUnits(position="m", velocity="m/s", acceleration="m/s2", jerk="m/s3", torque="N")
-_TURNING = JointUnits(position="rad", velocity="rad/s", acceleration="rad/s2", jerk="rad/s3", torque="Nm")
-_SLIDING_SHOWN = JointUnits(position="m", velocity="m/s", acceleration="m/s²", jerk="m/s³", torque="N")
-_TURNING_SHOWN = JointUnits(
-    position="deg",
-    velocity="deg/s",
-    acceleration="deg/s²",
-    jerk="deg/s³",
-    torque="Nm",
-    factor=float(np.rad2deg(1.0)),
-)
+    factor: float
 
 
 def joint_units(prismatic: bool, *, shown: bool = False) -> JointUnits:
     """Return the units of a joint: SI, or with `shown` those of tables, plots and messages."""
-    if prismatic:
-        return _SLIDING_SHOWN if shown else _SLIDING
-    return _TURNING_SHOWN if shown else _TURNING
+    unit, torque = ("m", "N") if prismatic else ("deg" if shown else "rad", "Nm")
+    factor = float(np.rad2deg(1.0)) if unit == "deg" else 1.0
+    squared, cubed = "²³" if shown else "23"
+    return JointUnits(unit, f"{unit}/s", f"{unit}/s{squared}", f"{unit}/s{cubed}", torque, factor)
 
 
 def postures_in_words(prismatic: Sequence[bool] | BoolArray, q: FloatArray) -> str:

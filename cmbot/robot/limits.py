@@ -24,6 +24,7 @@ from cmbot.common.reading.validation import counted
 from cmbot.common.representation import ShortRepr
 from cmbot.robot.description.limits_file import (
     LEAST_LIMIT,
+    RATE_KEYS,
     GivenLimits,
     JointLimitsFile,
     MoveItLimitsFile,
@@ -45,9 +46,6 @@ _TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _MAX_RANGE_M = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
-# Keys of a limits file for joints that turn and for those that slide.
-_ABOUT = ("velocity_deg", "acceleration_deg", "jerk_deg")
-_ALONG = ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3")
 _RATES = ("velocity", "acceleration", "jerk", "torque")
 _FLAG_FIELDS = ("prismatic", *(f"assumed_{name}" for name in _RATES))
 
@@ -196,7 +194,7 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
     given = [listed.of(name, slides) for name, slides in zip(names, prismatic.tolist(), strict=True)]
     narrows = isinstance(listed, MoveItLimitsFile)
     velocity = _joined(model.upperVelocityLimit, [each.velocity for each in given], narrows=narrows)
-    torque = _joined(model.upperEffortLimit, [each.effort for each in given], narrows=narrows)
+    torque = _joined(model.upperEffortLimit, [each.torque for each in given], narrows=narrows)
     acceleration, jerk = (
         _filled([getattr(each, name) for each in given]) for name in ("acceleration", "jerk")
     )
@@ -225,14 +223,9 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
 
 def _named(unknown: Mapping[str, BoolArray], given: Sequence[GivenLimits]) -> str:
     """The kinds of limits that a file gives, as words."""
-    names = [name for name in unknown if any(_given(each, name) is not None for each in given)]
-    words = [_ASSUMPTIONS[name][0].lower() for name in names] or ["all"]
+    names = [name for name in unknown if any(getattr(each, name) is not None for each in given)]
+    words = [ASSUMPTIONS[name][0].lower() for name in names] or ["all"]
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))).capitalize()
-
-
-def _given(limits: GivenLimits, name: str) -> float | None:
-    value: float | None = getattr(limits, "effort" if name == "torque" else name)
-    return value
 
 
 def _are_assumed(
@@ -241,7 +234,7 @@ def _are_assumed(
     """Which limits no file gives, or a file that says that it assumes them."""
     return {
         f"assumed_{name}": none
-        | np.array([by_file and _given(each, name) is not None for each in given], dtype=np.bool_)
+        | np.array([by_file and getattr(each, name) is not None for each in given], dtype=np.bool_)
         for name, none in unknown.items()
     }
 
@@ -251,7 +244,7 @@ def _require_units(
 ) -> None:
     """Refuse limits of one of the arm's joints in the units of the other kind; `all` may have both."""
     for name, slides in zip(names, prismatic.tolist(), strict=True):
-        for key, other in zip(*((_ABOUT, _ALONG) if slides else (_ALONG, _ABOUT)), strict=True):
+        for key, other in zip(RATE_KEYS[not slides], RATE_KEYS[slides], strict=True):
             if name in listed.joints and getattr(listed.joints[name], key) is not None:
                 kind = "slides" if slides else "turns"
                 raise ModelError(
@@ -329,16 +322,17 @@ def _said_by_moveit(
         )
 
 
-_ASSUMPTIONS = {
+ASSUMPTIONS = {
     "velocity": ("Velocity", "1 rad/s or 0.1 m/s"),
     "acceleration": ("Acceleration", f"{ASSUMED_ACCELERATION:g} /s times the velocity limit"),
     "jerk": ("Jerk", f"{ASSUMED_JERK:g} /s times the acceleration limit"),
     "torque": ("Effort", "twice what the arm beyond the joint, stretched out, asks of it at rest"),
 }
+"""What limits are called, and what is assumed where no file gives them."""
 
 
 def _assumed(unknown: Mapping[str, BoolArray]) -> Iterator[str]:
-    for name, (limit, by) in _ASSUMPTIONS.items():
+    for name, (limit, by) in ASSUMPTIONS.items():
         if number := int(unknown[name].sum()):
             total = len(unknown[name])
             joints = "the joints" if number == total else f"{counted(number, 'joint')} of {total}"

@@ -39,7 +39,7 @@ from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import Elasticity, read_elasticity
 from cmbot.robot.holding_joints import HoldingJoint
 from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
-from cmbot.robot.limits import joint_limits
+from cmbot.robot.limits import ASSUMPTIONS, joint_limits
 from cmbot.robot.robot import Robot
 
 ARM_JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
@@ -456,15 +456,12 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
 def _assumed_limits(robot: Robot) -> Iterator[Finding]:
     """Warn of joints whose velocity or effort no file gives."""
     limits = robot.limits
-    for name, assumed, by in (
-        ("velocity", limits.assumed_velocity, "1 rad/s or 0.1 m/s"),
-        ("effort", limits.assumed_torque, "twice what the arm beyond asks of it at rest, stretched out"),
-    ):
+    for rate, assumed in (("velocity", limits.assumed_velocity), ("torque", limits.assumed_torque)):
+        name, by = ASSUMPTIONS[rate]
+        expected = f"a positive bound, here or in a joint-limits file; assumed is {by}"
         for joint in np.array(robot.joints)[assumed]:
-            expected = f"a positive bound, here or in a joint-limits file; assumed is {by}"
-            yield Finding(
-                severity="warning", key=f"joint[{joint}].limit.{name}", got="nothing", expected=expected
-            )
+            key = f"joint[{joint}].limit.{name.lower()}"
+            yield Finding(severity="warning", key=key, got="nothing", expected=expected)
 
 
 def _questionable_masses(robot: Robot) -> Iterator[Finding]:

@@ -270,30 +270,24 @@ def limits_text(joints: Sequence[str], limits: JointLimits) -> str:
 
     It has accelerations and jerks, and the velocities and efforts that are assumed.
     """
+    from cmbot.robot import ASSUMPTIONS, RATE_KEYS
+
     entries, prismatic = [], limits.prismatic
     for i, name in enumerate(joints):
-        slides = bool(prismatic[i])
-        values = {"acceleration": limits.acceleration[i], "jerk": limits.jerk[i]}
-        if limits.assumed_velocity[i]:
-            values = {"velocity": limits.velocity[i]} | values
-        units = {"velocity": "m_s", "acceleration": "m_s2", "jerk": "m_s3"}
-        listed = [
-            f"{rate}_{units[rate]}: {value:.6g}" if slides else f"{rate}_deg: {np.rad2deg(value):.6g}"
-            for rate, value in values.items()
-        ]
+        rates = limits.velocity[i], limits.acceleration[i], limits.jerk[i]
+        factor = limits.units(i, shown=True).factor
+        every = zip(RATE_KEYS[bool(prismatic[i])], rates, strict=True)
+        listed = [f"{key}: {factor * rate:.6g}" for key, rate in every][not limits.assumed_velocity[i] :]
         if limits.assumed_torque[i]:
             listed.append(f"effort: {limits.torque[i]:.6g}")
         entries.append(f"  {_flow(name)}: {{{', '.join(listed)}}}\n")
     powers = [f"{unit}/s2 and {unit}/s3" for unit in _units(prismatic)]
     what = ""
     if limits.assumed_velocity.any():
-        what += (
-            f"\n# Velocities, {' or '.join(f'{unit}/s' for unit in _units(prismatic))}: 1 rad/s or 0.1 m/s."
-        )
+        units = " or ".join(f"{unit}/s" for unit in _units(prismatic))
+        what += f"\n# Velocities, {units}: {ASSUMPTIONS['velocity'][1]}."
     if limits.assumed_torque.any():
-        what += (
-            "\n# Efforts, Nm or N: twice what the arm beyond the joint, stretched out, asks of it at rest."
-        )
+        what += f"\n# Efforts, Nm or N: {ASSUMPTIONS['torque'][1]}."
     return _LIMITS_TEMPLATE.format(units=", or ".join(powers), joints="".join(entries), what=what)
 
 

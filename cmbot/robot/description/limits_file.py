@@ -30,6 +30,12 @@ from cmbot.common.reading.yaml_reader import lines_named, read_yaml
 LEAST_LIMIT = 1e-6
 """Smallest limit that is one, SI."""
 
+RATE_KEYS = (
+    ("velocity_deg", "acceleration_deg", "jerk_deg"),
+    ("velocity_m_s", "acceleration_m_s2", "jerk_m_s3"),
+)
+"""Keys of a joint's limits, of one that turns and of one that slides."""
+
 # Beyond any robot, but nothing made of them overflows.
 Positive = Annotated[float, Field(ge=LEAST_LIMIT, le=1e9)]
 Mass = Annotated[float, Field(ge=1e-3, le=1e5)]
@@ -47,7 +53,7 @@ class GivenLimits:
     velocity: float | None = None
     acceleration: float | None = None
     jerk: float | None = None
-    effort: float | None = None
+    torque: float | None = None
 
 
 class JointEntry(FileModel):
@@ -72,14 +78,10 @@ class JointEntry(FileModel):
 
     def given(self, prismatic: bool) -> GivenLimits:
         """Return the limits that are given, in SI."""
-        along = (self.velocity_m_s, self.acceleration_m_s2, self.jerk_m_s3)
-        about = (self.velocity_deg, self.acceleration_deg, self.jerk_deg)
-        velocity, acceleration, jerk = along if prismatic else map(_radians, about)
-        return GivenLimits(velocity=velocity, acceleration=acceleration, jerk=jerk, effort=self.effort)
-
-
-def _radians(degrees: float | None) -> float | None:
-    return None if degrees is None else float(np.deg2rad(degrees))
+        unit = 1.0 if prismatic else float(np.deg2rad(1.0))
+        listed = (getattr(self, key) for key in RATE_KEYS[prismatic])
+        velocity, acceleration, jerk = (None if rate is None else unit * rate for rate in listed)
+        return GivenLimits(velocity=velocity, acceleration=acceleration, jerk=jerk, torque=self.effort)
 
 
 class JointLimitsFile(FileModel):
@@ -136,11 +138,10 @@ class MoveItLimitsFile(FileModel):
         """Return what the file says of a joint."""
         del prismatic
         entry = self.joint_limits.get(joint, _MoveItEntry())
-        names = ("velocity", "acceleration", "jerk", "effort")
-        limits = {name: entry.limit(name) for name in names}
+        limits = {name: entry.limit(name) for name in ("velocity", "acceleration", "jerk")}
         if entry.has_position_limits:
             limits |= {"lower": entry.min_position, "upper": entry.max_position}
-        return GivenLimits(**limits)
+        return GivenLimits(**limits, torque=entry.limit("effort"))
 
     @property
     def scaling_remark(self) -> str:
