@@ -6,12 +6,11 @@ import hashlib
 import io
 import sys
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from typing import Any
 
 from cmbot.campaigns.campaign_file import Entry
 from cmbot.campaigns.task import TaskResult, TaskStatus
-from cmbot.common.errors import MissingExtra
+from cmbot.common.errors import optional_module
 
 PLANS = "plans"
 """Folder of the plan directories: in 256 folders, so that none has too many."""
@@ -111,8 +110,5 @@ def parquet(rows: Sequence[Mapping[str, Any]]) -> bytes:
 
 def require_pyarrow() -> Any:
     """Return the module ``pyarrow``; a `MissingExtra` where it is not installed."""
-    try:
-        import_module("pyarrow.parquet")
-        return import_module("pyarrow")
-    except ImportError as error:
-        raise MissingExtra("pyarrow", "campaign") from error
+    optional_module("pyarrow.parquet", "pyarrow", "campaign")
+    return optional_module("pyarrow", "pyarrow", "campaign")

@@ -22,7 +22,7 @@ from threading import get_ident
 from typing import Any
 
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
-from cmbot.common.errors import InputError, MissingExtra
+from cmbot.common.errors import InputError, optional_module
 
 _TASK_FORMAT = "cmbot-task/1"
 # Tasks that dask has at a time; each takes tens of kilobytes there. For each worker of this process; and for
@@ -295,10 +295,7 @@ def _end_of(status: int | None) -> str:
 
 def require_dask() -> Any:
     """Return the module ``distributed``; a `MissingExtra` where it is not installed."""
-    try:
-        return importlib.import_module("distributed")
-    except ImportError as error:
-        raise MissingExtra("dask.distributed", "campaign") from error
+    return optional_module("distributed", "dask.distributed", "campaign")
 
 
 def _limits(task: Task) -> dict[str, float | None]:

@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
+from importlib import import_module
 from typing import Any
 
 from cmbot.common.installation import install_command
@@ -395,3 +396,11 @@ class MissingExtra(CmbotError, ImportError):
         super()._say()
         # What an ImportError prints.
         self.msg = self.args[0]
+
+
+def optional_module(name: str, package: str, extra: str) -> Any:
+    """Import a module of an optional package of an extra; a `MissingExtra` where it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise MissingExtra(package, extra) from error

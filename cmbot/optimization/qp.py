@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.common.errors import MissingExtra
+from cmbot.common.errors import optional_module
 from cmbot.optimization.constraint_set import OBJECTIVE
 
 # What PIQP is asked for, and what is still good enough to step by: the step is judged by what it brings.
@@ -25,10 +24,7 @@ def piqp_module() -> Any:
     MissingExtra
         When it is not installed.
     """
-    try:
-        return importlib.import_module("piqp")
-    except ImportError as error:
-        raise MissingExtra("piqp", "fast") from error
+    return optional_module("piqp", "piqp", "fast")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

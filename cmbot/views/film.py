@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.errors import InputError, MissingExtra
+from cmbot.common.errors import InputError, MissingExtra, optional_module
 from cmbot.views.page import draft_of, write_page
 
 FRAME_RATE = 30
@@ -122,10 +122,9 @@ def _program(name: str, names: tuple[str, ...], command: str) -> str:
 @contextmanager
 def _opened(page: str, browser: str, driver: str, size: tuple[int, int]) -> Iterator[Any]:
     """Open a page without its controls in a new browser."""
-    try:
-        from selenium import webdriver
-    except ImportError as error:
-        raise MissingExtra("selenium", _VIDEO_EXTRA) from error
+    optional_module("selenium", "selenium", _VIDEO_EXTRA)
+    from selenium import webdriver
+
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "page.html"
         write_page(place, page)

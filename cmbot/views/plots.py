@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError, MissingExtra
+from cmbot.common.errors import InputError, optional_module
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
 from cmbot.views.charts import (
@@ -101,11 +101,7 @@ def require_matplotlib() -> None:
     MissingExtra
         When it is not installed.
     """
-    try:
-        import matplotlib as mpl
-    except ImportError as error:
-        raise MissingExtra("matplotlib", "plots") from error
-    del mpl
+    optional_module("matplotlib", "matplotlib", "plots")
 
 
 def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:

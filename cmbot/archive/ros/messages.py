@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.archive.folder import write_file
 from cmbot.collision import Box, Capsule, Cylinder, Obstacle, Sphere, load_mesh
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.common.errors import InputError, MissingExtra
+from cmbot.common.errors import InputError, optional_module
 from cmbot.common.reading.validation import given_path, hint
 from cmbot.planning import Plan, require_plan
 from cmbot.robot import Dynamics, Postures, link_poses
@@ -302,12 +302,8 @@ def export_mcap(plan: Plan, path: str | Path, *, effort: bool = False) -> None:
 
 def bag(each: Iterable[tuple[str, str, float, Message]]) -> bytes:
     """Return the content of the MCAP file of `messages`; errors as `export_mcap`."""
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError as error:
-        raise MissingExtra("mcap-ros2-support", "ros") from error
-    content = io.BytesIO()
-    with Writer(content) as writer:
+    content, made = io.BytesIO(), optional_module("mcap_ros2.writer", "mcap-ros2-support", "ros")
+    with made.Writer(content) as writer:
         schemas = {name: writer.register_msgdef(name, text) for name, text in _schemas().items()}
         for topic, kind, time, message in each:
             nanoseconds = round(1e9 * time)

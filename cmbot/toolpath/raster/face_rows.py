@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import MissingExtra, SceneError
+from cmbot.common.errors import SceneError, optional_module
 from cmbot.common.reading.validation import counted
 from cmbot.toolpath.raster.pieces import MOST_ROWS, Interval, RowPiece, united
 from cmbot.toolpath.raster.raster import FaceSelection, Raster
@@ -221,11 +221,7 @@ class FaceRows:
 
 
 def _shapely() -> Any:
-    try:
-        import shapely
-    except ImportError as error:
-        raise MissingExtra("shapely", "surfaces") from error
-    return shapely
+    return optional_module("shapely", "shapely", "surfaces")
 
 
 def _chosen(
