@@ -92,10 +92,7 @@ class Frame:
 
     def compliance(self, *nodes: int) -> FloatArray:
         """Return the displacements (6 k, 6 k) of `nodes`, which are not fixed, under unit loads at them."""
-        index = np.concatenate([self.coordinates(node) for node in nodes])
-        loads = np.zeros((self.stiffness.shape[0], len(index)))
-        loads[index, np.arange(len(index))] = 1.0
-        return np.asarray(self._factor.solve(loads)[index])
+        return self._loaded(*nodes)[1]
 
     def condense(self, *nodes: int) -> Condensed:
         """Condense the frame to `nodes`, which are not fixed and differ."""
@@ -111,12 +108,17 @@ class Frame:
 
     def _condensed(self, *nodes: int) -> tuple[FloatArray, FloatArray]:
         """Static displacements (f, 6 m) by unit displacements of m nodes, and the stiffness there."""
+        moved, compliance = self._loaded(*nodes)
+        K = _inverse(compliance)
+        return moved @ K, K
+
+    def _loaded(self, *nodes: int) -> tuple[FloatArray, FloatArray]:
+        """Static displacements (f, 6 m) under unit loads at m nodes, and those of these nodes (6 m, 6 m)."""
         index = np.concatenate([self.coordinates(node) for node in nodes])
         loads = np.zeros((self.stiffness.shape[0], len(index)))
         loads[index, np.arange(len(index))] = 1.0
-        shapes = self._factor.solve(loads)
-        K = _inverse(shapes[index])
-        return shapes @ K, K
+        moved = np.asarray(self._factor.solve(loads))
+        return moved, moved[index]
 
     def frequencies(self, count: int) -> FloatArray:
         """Lowest natural frequencies, Hz: see `natural_frequencies`."""
