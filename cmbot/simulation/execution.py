@@ -83,7 +83,7 @@ def executed(
     between = points[:-1, None] + share[:, None] * (points[1:] - points[:-1])[:, None]
     command = np.concatenate([between.reshape(-1, n), points[-1:]])
     if options.servo_bandwidth_hz is None:
-        q, v = command, _rates(work, step * np.arange(len(command), dtype=np.float64))
+        q, v = command, work.states(step * np.arange(len(command), dtype=np.float64))[1]
     else:
         q, v = _followed(command, step, _bandwidths(options, n), held=held)
     t = step * np.arange(len(q)) + options.delay_s
@@ -93,14 +93,6 @@ def executed(
     curve = CubicHermiteSpline(t, q, v)
     edges = [part.begin for part in work.parts] + [work.duration] + [total] * (options.settle_s > 0)
     return curve, tuple(ExecutedMotion(curve, begin, end, options.step_s) for begin, end in pairwise(edges))
-
-
-def _rates(work: PrescribedWork, times: FloatArray) -> FloatArray:
-    v = np.empty((len(times), len(work.end)))
-    for part, at, t in work.split(times):
-        v[at] = part.states(t)[1]
-    v[times > work.duration] = 0.0
-    return v
 
 
 def _bandwidths(options: SimulationOptions, n: int) -> FloatArray:

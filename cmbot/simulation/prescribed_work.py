@@ -110,7 +110,12 @@ class PrescribedWork:
 
     def postures(self, times: FloatArray) -> FloatArray:
         """Return the joint positions at `times` (N,) from 0, (N, n), rad; after the stop the last ones."""
-        q = np.empty((len(times), len(self.end)))
+        return self.states(times)[0]
+
+    def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return `postures`, and the joint velocities there, rad/s; after the stop they are zero."""
+        q, v = np.empty((2, len(times), len(self.end)))
         for part, at, t in self.split(times):
-            q[at] = part.states(t)[0]
-        return q
+            q[at], v[at], _ = part.states(t)
+        v[times > self.duration] = 0.0
+        return q, v

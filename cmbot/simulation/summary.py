@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, held_point
 from cmbot.simulation.execution import is_executed
-from cmbot.simulation.metrics import statistics
+from cmbot.simulation.metrics import Statistics, statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
@@ -29,7 +30,6 @@ _PART_NAMES = (
 )
 
 
-# By what factor a larger weight of the jerk is suggested.
 # A tool sways more than another's beyond this factor, and is still below the second number, m.
 _MORE_SWAY_FACTOR, _STILL = 1.05, 1e-5
 
@@ -183,22 +183,25 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
 
     The norm after the stop is the largest distance between two places of the tool.
     """
-    for part, attribute in _PART_NAMES:
-        for quantity, field in _QUANTITY_NAMES:
-            for name, motion in tracking.motions:
-                found = getattr(motion.metrics, attribute)
-                yield f"{part}, {quantity}", name, *_numbers(getattr(found, field))
-    for quantity, field in _QUANTITY_NAMES:
-        for name, motion in tracking.motions:
-            if motion.execution is not None:
-                moving = motion.t <= motion.stop * (1 + 1e-12)
-                numbers = _numbers(getattr(statistics(motion.t[moving], motion.execution[moving]), field))
-                yield f"by how joints are driven, {quantity}", name, *numbers
+    parts = {name: dict(_parts(motion)) for name, motion in tracking.motions}
+    for part, (quantity, field) in product(parts["planned"], _QUANTITY_NAMES):
+        for name, found in parts.items():
+            if part in found:
+                yield f"{part}, {quantity}", name, *_numbers(getattr(found[part], field))
     for name, motion in tracking.motions:
         rest = motion.metrics.residual
         if rest is not None:
             numbers = _numbers(np.append(rest.peak_to_peak, rest.diameter))
             yield "after the stop, peak to peak", name, *numbers
+
+
+def _parts(motion: MotionTracking) -> Iterator[tuple[str, Statistics]]:
+    """Yield the parts of a motion's error by their names; the last is of how its joints are driven."""
+    for part, attribute in _PART_NAMES:
+        yield part, getattr(motion.metrics, attribute)
+    if motion.execution is not None:
+        moving = motion.t <= motion.stop * (1 + 1e-12)
+        yield "by how joints are driven", statistics(motion.t[moving], motion.execution[moving])
 
 
 def tracking_remarks(tracking: Tracking, *, compensated: bool = False) -> Iterator[str]:
