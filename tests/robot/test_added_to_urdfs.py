@@ -12,7 +12,7 @@ import pytest
 from robot_files import replace
 
 from cmbot.collision import Clearances
-from cmbot.common.errors import ModelError
+from cmbot.common.errors import InputError, ModelError
 from cmbot.robot import AttachedTool, Dynamics, Kinematics, Robot, ToolShape, load_robot
 from cmbot.robot.description.hulls import body_of
 
@@ -202,7 +202,7 @@ def test_a_capsule_is_covered() -> None:
     [({"xyz": (np.nan, 0, 0)}, "xyz"), ({"mass": -1.0}, "mass"), ({"com": (0, 1e6, 0)}, "com")],
 )
 def test_tools_that_are_none(changes: dict[str, Any], key: str) -> None:
-    with pytest.raises(ModelError, match=rf"^AttachedTool: .*{key}"):
+    with pytest.raises(InputError, match=rf"^AttachedTool: .*{key}"):
         tool(**changes)
 
 

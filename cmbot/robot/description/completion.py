@@ -15,7 +15,8 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.reading.validation import counted, hint, shown
+from cmbot.common.reading.fields import Mass, Vector
+from cmbot.common.reading.validation import CheckedFields, counted, hint, shown
 from cmbot.common.representation import ShortRepr
 from cmbot.robot.description.frames import links_beside, row_of
 from cmbot.robot.description.hulls import Body, body_of
@@ -29,7 +30,6 @@ POINT = "_point"
 """Ending of the name of the tool point's frame, after that of the tool's link."""
 
 Triple = tuple[float, float, float]
-_TOP_M, _TOP_KG = 1e4, 1e4  # m, kg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AttachedTool(ShortRepr):
+class AttachedTool(CheckedFields, ShortRepr):
     """A tool that is fixed to the arm's flange.
 
     Attributes
@@ -89,20 +89,11 @@ class AttachedTool(ShortRepr):
         They keep the clearance from all else, and are drawn.
     """
 
-    xyz: Triple
-    rpy: Triple = (0.0, 0.0, 0.0)
-    mass: float = 0.0
-    com: Triple | None = None
+    xyz: Vector
+    rpy: Vector = (0.0, 0.0, 0.0)
+    mass: Mass = 0.0
+    com: Vector | None = None
     shapes: tuple[ToolShape, ...] = ()
-
-    def __post_init__(self) -> None:
-        numbers = np.array([*self.xyz, *self.rpy, *(self.com or ())], dtype=float)
-        if not (np.abs(numbers) <= _TOP_M).all():
-            expected = f"finite numbers of at most {_TOP_M:g}"
-            raise ModelError("AttachedTool", "xyz, rpy, com", numbers.tolist(), expected)
-        if not 0 <= self.mass <= _TOP_KG:
-            expected = f"a mass in kg that is not negative, at most {_TOP_KG:g}"
-            raise ModelError("AttachedTool", "mass", self.mass, expected)
 
     def attached(self, root: ElementTree.Element, flange: str) -> tuple[ElementTree.Element, str]:
         """Fix it to a link of a URDF, in place; return its link, as yet without mass, and its frame's name.
