@@ -8,9 +8,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from cmbot.common.errors import InputError, one_line
+from cmbot.common.reading.validation import CheckedFields
 
 _TASK_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
 _FUNCTION_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
@@ -37,7 +40,7 @@ class TaskStatus(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class Task(CheckedFields):
     """A call of a function in a process apart.
 
     Attributes
@@ -69,17 +72,13 @@ class Task:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     unkeyed: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
-    time_limit: float = 600.0
-    memory_limit: int | None = None
+    time_limit: Annotated[float, Field(gt=0)] = 600.0
+    memory_limit: Annotated[int, Field(gt=0)] | None = None
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         require_task_name(self.name, "Task", "name")
         if not _FUNCTION_NAME.fullmatch(self.function):
             raise InputError("Task", "function", repr(self.function), "package.module:name")
-        if not self.time_limit > 0:
-            raise InputError("Task", "time_limit", self.time_limit, "a positive number of seconds")
-        if self.memory_limit is not None and not self.memory_limit > 0:
-            raise InputError("Task", "memory_limit", self.memory_limit, "a positive number of bytes, or None")
         try:
             json.dumps(dict(self.arguments), allow_nan=False)
         except (TypeError, ValueError) as error:
