@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.accuracy import Accuracy, Shaking
 from cmbot.common.arrays import FloatArray, interpolated
+from cmbot.common.reading.fields import si_fields
 from cmbot.common.reading.file_types import Row
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic.arm import ElasticArm
@@ -350,7 +351,8 @@ class _Excited:
         return passages, times, tuple(3.6 * speed for speed in met)
 
     def load(self, trains: TrainsFile, speed_km_h: float) -> PassageLoad:
-        span, train, speed = _span(trains), axles_of(trains.axles), speed_km_h / 3.6
+        given, train, speed = si_fields(trains.span), axles_of(trains.axles), speed_km_h / 3.6
+        span = Span(mass=1e3 * given.pop("mass_t"), **given)
         passing = None if self.given is None else self.given.passing
         pressure = 0.0 if passing is None else passing_pressure(speed, passing.distance_m, passing.shape)
         return PassageLoad(span=span, train=train, speed=speed, pressure=pressure)
@@ -397,17 +399,6 @@ class _Excited:
         systems = [PostureSystem.of(replace(response, damper=tuned), np.inf) for response in each]
         done = np.minimum(t / self.work.duration, 1.0)
         return _AlongWork(t, tool_along(systems, done, inputs(t)[:, :, None], _STEP_S)[:, 0], "modes")
-
-
-def _span(trains: TrainsFile) -> Span:
-    span = trains.span
-    return Span(
-        length=span.length_m,
-        first=span.first_hz,
-        mass=1e3 * span.mass_t_m,
-        damping=span.damping,
-        at=span.at_m,
-    )
 
 
 def _with_loads(spectrum: Spectrum) -> Spectrum:

@@ -22,6 +22,7 @@ from cmbot.common.reading.fields import (
     Text,
     Vector,
     mapping_of,
+    si_fields,
     word_or,
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
@@ -67,14 +68,8 @@ class ToolShapeFile(OneOf):
 
         kind = self.given
         numbers = (self.scale,) if kind == "mesh" else np.atleast_1d(getattr(self, kind)).tolist()
-        roll, pitch, yaw = np.radians(self.rpy_deg).tolist()
-        return ToolShape(
-            kind=kind,  # type: ignore[arg-type]
-            numbers=tuple(numbers),
-            path=self.mesh,
-            xyz=self.xyz,
-            rpy=(roll, pitch, yaw),
-        )
+        placed: dict[str, Any] = {name: si_fields(self)[name] for name in ("xyz", "rpy")}
+        return ToolShape(kind=kind, numbers=tuple(numbers), path=self.mesh, **placed)  # type: ignore[arg-type]
 
 
 class AttachedToolFile(FileModel):
@@ -103,14 +98,9 @@ class AttachedToolFile(FileModel):
         from cmbot.robot import AttachedTool
 
         shapes = self.shapes if self.mesh is None else (ToolShapeFile(mesh=self.mesh),)
-        roll, pitch, yaw = np.radians(self.rpy_deg).tolist()
-        return AttachedTool(
-            xyz=self.xyz,
-            rpy=(roll, pitch, yaw),
-            mass=self.mass_kg,
-            com=self.com,
-            shapes=tuple(each.shape for each in shapes),
-        )
+        given = si_fields(self) | {"shapes": tuple(each.shape for each in shapes)}
+        del given["mesh"]
+        return AttachedTool(**given)
 
 
 STOW = "stow"

@@ -41,7 +41,7 @@ MESH_FORMATS = ("glb", "obj", "off", "ply", "stl")
 # Axes are unit vectors up to what people round.
 _UNIT_LENGTH_TOLERANCE = 1e-2
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
-_UNIT_SUFFIX = re.compile("_(deg|kg_m3|kg|m|pa)$")
+_UNIT_SUFFIX = re.compile("_(deg|hz|kg_m3|kg|m|pa)$")
 
 
 def _slug(text: str) -> str:
