@@ -599,11 +599,5 @@ class Scene(FileModel):
     def _timed(self, number: int, file: StrokeFile, X_WT: FloatArray) -> Stroke:
         """A stroke, from the pose (4, 4) of the tool before."""
         place = self._path_source(number)
-        return timed_stroke(
-            file,
-            place,
-            X_WT,
-            surface_of(file.raster, place, self.all_obstacles, X_WT),
-            begins_elsewhere=file.has_start or number > 0,
-            deviation=self.planner.max_tool_deviation_m,
-        )
+        surface = surface_of(file.raster, place, self.all_obstacles, X_WT)
+        return timed_stroke(file, place, X_WT, surface, begins_elsewhere=file.has_start or number > 0)

@@ -103,7 +103,6 @@ def timed_stroke(
     surface: Surface | None,
     *,
     begins_elsewhere: bool,
-    deviation: float,
 ) -> Stroke:
     """Return the stroke that a file describes.
 
@@ -117,8 +116,6 @@ def timed_stroke(
         Of its raster.
     begins_elsewhere : bool
         Whether the arm has to be brought to its start.
-    deviation : float
-        Of the tool from the path at most, m.
 
     Raises
     ------
@@ -133,7 +130,7 @@ def timed_stroke(
         path = path.timed(file.time_laws)
     number = file.via_points
     if not isinstance(number, int):
-        number = _automatic_via_points(path, deviation, file)
+        number = _automatic_via_points(path, place.deviation, file)
     needed = len(path.section_times)
     if number < needed:
         expected = f"at least {needed}, one for each end of a leg, row or lead, or auto"
