@@ -574,10 +574,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
     scene, robot = plan.scene, plan.robot
     yield "name", scene.name
     yield "robot", f"{robot.name}, {robot.dof} joints, {robot.mass:.1f} kg, payload {robot.payload:g} kg"
-    if robot.limits.prismatic.any():
-        yield "posture", postures_in_words(robot.limits.prismatic, scene.posture)
-    else:
-        yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
+    yield "posture", postures_in_words(robot.limits.prismatic, scene.posture)
     if scene.return_to != "none":
         yield "return to", str(scene.return_to)
     if robot.pushed:
