@@ -20,6 +20,7 @@ from rich.table import Table
 
 from cmbot.common.errors import CmbotError, PlanningError, one_line
 from cmbot.common.progress_display import ProgressDisplay
+from cmbot.common.representation import aligned
 
 
 class LostOutputError(CmbotError):
@@ -138,12 +139,9 @@ def print_table(
             table.add_row(*row)
         out.print(table)
         return
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    formats = [f"{'<' if number < text_columns else '>'}{width}" for number, width in enumerate(widths)]
     if title:
         out.print(title)
-    for cells in lines:
-        out.print("  ".join(map(format, cells, formats)).rstrip())
+    out.print(aligned(lines, text_columns, least=0))
 
 
 class ConsoleProgress(ProgressDisplay):

@@ -58,10 +58,11 @@ def fields_repr(name: str, values: Mapping[str, object]) -> str:
     return f"{name}({', '.join(shown)})"
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of a name and values as an aligned table of plain text."""
-    width = max(len(row[0]) for row in rows)
-    return "\n".join("  ".join((f"{row[0]:<{width}}", *(f"{x:>12}" for x in row[1:]))) for row in rows)
+def aligned(rows: Sequence[Sequence[str]], text_columns: int = 1, least: int = 12) -> str:
+    """Return rows as an aligned table of plain text: names, then values in columns of a `least` width."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    formats = [f"<{w}" if k < text_columns else f">{max(w, least)}" for k, w in enumerate(widths)]
+    return "\n".join("  ".join(map(format, cells, formats)).rstrip() for cells in rows)
 
 
 def card(
