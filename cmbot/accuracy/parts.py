@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -20,18 +19,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Placement, Scene, Uncertainty
 
-PartName = Literal[
-    "sag",
-    "stiffness",
-    "placement of the base",
-    "placement of the workpiece",
-    "joint calibration",
-    "backlash",
-    "friction",
-    "payload",
-    "temperature",
-]
-# Of a scene's `uncertainty`, which say how large a part is.
+# Of a scene's `uncertainty`, which say how large the parts are of which only that is known.
 _KEYS: dict[str, str] = {
     "stiffness": "stiffness_share",
     "placement of the base": "foot",
@@ -65,11 +53,16 @@ class Part:
         They are drawn anew at each posture; otherwise once for a job.
     """
 
-    name: PartName
+    name: str
     bias: FloatArray
     maps: FloatArray
     is_uniform: bool = False
     changes: bool = False
+
+    @classmethod
+    def unbiased(cls, name: str, maps: FloatArray, **drawn: bool) -> Part:
+        """Return a part of which nothing is known but how large it may be, and how it is `drawn`."""
+        return cls(name=name, bias=np.zeros(maps.shape[:2]), maps=maps, **drawn)
 
     @property
     def deviations(self) -> FloatArray:
@@ -104,24 +97,16 @@ def parts_of(
     """
     sag, robot = Sag(arm), arm.robot
     bent = sag.at(q)
-    nothing = np.zeros_like(bent.tool)
-    yield Part(name="sag", bias=nothing if compensated else bent.tool, maps=np.zeros((len(q), 3, 0)))
+    known = np.zeros_like(bent.tool) if compensated else bent.tool
+    yield Part(name="sag", bias=known, maps=np.zeros((len(q), 3, 0)))
     yield _stiffness(sag, q, bent.tool, uncertainty, covariance)
     kinematics = Kinematics(robot)
     poses = [kinematics.tool_jacobian(posture) for posture in q]
     tool = np.array([X_WT.translation for X_WT, _ in poses]) + bent.tool
     J = np.array([jacobian.reshape(6, -1)[:3] for _, jacobian in poses]) + bent.d_tool
-    yield Part(
-        name="placement of the base",
-        bias=nothing,
-        maps=_placed(uncertainty.foot, tool - np.array(robot.foot_point)),
-    )
+    yield Part.unbiased("placement of the base", _placed(uncertainty.foot, tool - np.array(robot.foot_point)))
     middle = 0.5 * (tool.min(axis=0) + tool.max(axis=0))
-    yield Part(
-        name="placement of the workpiece",
-        bias=nothing,
-        maps=_placed(uncertainty.workpiece, tool - middle),
-    )
+    yield Part.unbiased("placement of the workpiece", _placed(uncertainty.workpiece, tool - middle))
     yield from _joints(robot, q, J, uncertainty)
     if uncertainty.payload_kg:
         more = Sag(arm.softened(1.0, uncertainty.payload_kg)).at(q).tool - bent.tool
@@ -130,7 +115,7 @@ def parts_of(
         yield Part(name="payload", bias=half, maps=_UNIFORM * half[:, :, None], is_uniform=True)
     if uncertainty.temperature_k and robot.elasticity:
         maps = _bowed(robot, q, tool, uncertainty.temperature_k)
-        yield Part(name="temperature", bias=nothing, maps=maps, is_uniform=True)
+        yield Part.unbiased("temperature", maps, is_uniform=True)
 
 
 def assumed_in_words(part: str, scene: Scene) -> str | None:
@@ -146,17 +131,12 @@ def assumed_in_words(part: str, scene: Scene) -> str | None:
 def _stiffness(
     sag: Sag, q: FloatArray, bent: FloatArray, uncertainty: Uncertainty, covariance: FloatArray | None
 ) -> Part:
-    nothing = np.zeros_like(bent)
     if covariance is None:
         # The sag of a stiffness times 1 + s is to first order 1 - s times as large.
         maps = -_UNIFORM * uncertainty.stiffness_share * bent[:, :, None]
-        return Part(name="stiffness", bias=nothing, maps=maps, is_uniform=True)
+        return Part.unbiased("stiffness", maps, is_uniform=True)
     values, vectors = np.linalg.eigh(covariance)
-    return Part(
-        name="stiffness",
-        bias=nothing,
-        maps=sag.by_stiffness(q) @ (vectors * np.sqrt(np.maximum(values, 0.0))),
-    )
+    return Part.unbiased("stiffness", sag.by_stiffness(q) @ (vectors * np.sqrt(np.maximum(values, 0.0))))
 
 
 def _placed(placement: Placement, arms: FloatArray) -> FloatArray:
@@ -168,12 +148,11 @@ def _placed(placement: Placement, arms: FloatArray) -> FloatArray:
 
 def _joints(robot: Robot, q: FloatArray, J: FloatArray, uncertainty: Uncertainty) -> Iterator[Part]:
     """Parts of the joints that turn, by the Jacobians (N, 3, n) of the bent arm's tool."""
-    given, nothing = uncertainty.joints, np.zeros((len(q), 3))
-    turning = ~robot.limits.prismatic
+    given, turning = uncertainty.joints, ~robot.limits.prismatic
     J = J[:, :, turning]
-    yield Part(name="joint calibration", bias=nothing, maps=np.radians(given.calibration_deg) * J)
+    yield Part.unbiased("joint calibration", np.radians(given.calibration_deg) * J)
     play = 0.5 * np.radians(given.backlash_arcmin / 60)
-    yield Part(name="backlash", bias=nothing, maps=_UNIFORM * play * J, is_uniform=True, changes=True)
+    yield Part.unbiased("backlash", _UNIFORM * play * J, is_uniform=True, changes=True)
     names = [name for name, turns in zip(robot.joints, turning, strict=True) if turns]
     springs = [robot.joint_elasticity.get(name) for name in names]
     if any(springs) and given.friction_share:
@@ -182,7 +161,7 @@ def _joints(robot: Robot, q: FloatArray, J: FloatArray, uncertainty: Uncertainty
         give = np.array([0.0 if spring is None else 1 / spring.stiffness for spring in springs])
         windup = given.friction_share * np.abs(torque[:, turning]) * give
         maps = _UNIFORM * J * windup[:, None, :]
-        yield Part(name="friction", bias=nothing, maps=maps, is_uniform=True, changes=True)
+        yield Part.unbiased("friction", maps, is_uniform=True, changes=True)
 
 
 def _bowed(robot: Robot, q: FloatArray, tool: FloatArray, difference: float) -> FloatArray:
