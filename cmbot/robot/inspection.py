@@ -141,11 +141,13 @@ def inspect_robot(files: RobotFiles) -> tuple[ElementTree.Element, list[Finding]
     return root, findings if arm is None else inspect_urdf(root, moving_links(root, arm[0]))
 
 
-def _error(key: str, got: object, expected: str) -> Finding:
+def error_of(key: str, got: object, expected: str) -> Finding:
+    """Return an error as a finding."""
     return Finding(severity="error", key=key, got=str(got), expected=expected)
 
 
-def _warning(key: str, got: object, expected: str) -> Finding:
+def warning_of(key: str, got: object, expected: str) -> Finding:
+    """Return a warning as a finding."""
     return Finding(severity="warning", key=key, got=str(got), expected=expected)
 
 
@@ -174,10 +176,10 @@ def _floats(text: str) -> list[float]:
 def _header(root: ElementTree.Element) -> Iterator[Finding]:
     """The robot has a name, and a version that the URDF reader accepts."""
     if not root.get("name"):
-        yield _error("robot.name", "nothing", "a name")
+        yield error_of("robot.name", "nothing", "a name")
     version = root.get("version", "1.0")
     if version not in ("1.0", "1.1", "1.2"):
-        yield _error("robot.version", shown(version), "1.0, 1.1 or 1.2")
+        yield error_of("robot.version", shown(version), "1.0, 1.1 or 1.2")
 
 
 def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
@@ -187,25 +189,25 @@ def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
             key = f"{_name(parent)}.{element.tag}"
             for attribute in _REQUIRED_ATTRIBUTES.get(element.tag, ()):
                 if not element.get(attribute):
-                    yield _error(f"{key}.{attribute}", repr(element.get(attribute)), "a value")
+                    yield error_of(f"{key}.{attribute}", repr(element.get(attribute)), "a value")
             for attribute, (count, most) in _ATTRIBUTE_BOUNDS.get(element.tag, {}).items():
                 if element.get(attribute) is not None:
                     yield from _numbers(f"{key}.{attribute}", element.get(attribute, ""), count, most)
             if element.get("quat_xyzw") is not None:
-                yield _error(f"{key}.quat_xyzw", "a quaternion", "the angles rpy in place of it")
+                yield error_of(f"{key}.quat_xyzw", "a quaternion", "the angles rpy in place of it")
 
 
 def _numbers(key: str, text: str, count: int, most: float) -> Iterator[Finding]:
     words = [word for word in text.split(" ") if word] if len(text) <= _MAX_TEXT_CHARACTERS else []
     well_formed = len(words) == count and all(map(_URDF_NUMBER.fullmatch, words))
     if not well_formed or not all(math.isfinite(float(word)) for word in words):
-        yield _error(key, shown(text), counted(count, "finite number"))
+        yield error_of(key, shown(text), counted(count, "finite number"))
     elif key.endswith("rgba"):
         if not all(0 <= float(word) <= most for word in words):
-            yield _error(key, shown(text), "4 numbers from 0 to 1")
+            yield error_of(key, shown(text), "4 numbers from 0 to 1")
     elif any(abs(float(word)) > most for word in words):
         expected = f"{counted(count, 'finite number')} of at most {most:g}"
-        yield _error(key, shown(text), expected)
+        yield error_of(key, shown(text), expected)
 
 
 def _materials(root: ElementTree.Element) -> Iterator[Finding]:
@@ -214,19 +216,19 @@ def _materials(root: ElementTree.Element) -> Iterator[Finding]:
     for material in root.findall("material"):
         name = material.get("name", "")
         if not name:
-            yield _warning(_name(material), "no name", "a name; this material is not used")
+            yield warning_of(_name(material), "no name", "a name; this material is not used")
         elif name in seen:
-            yield _warning(_name(material), "another one of that name", "a unique name; the first is used")
+            yield warning_of(_name(material), "another one of that name", "a unique name; the first is used")
         elif material.find("color") is None and material.find("texture") is None:
-            yield _warning(_name(material), "neither colour nor texture", "<color> or <texture>")
+            yield warning_of(_name(material), "neither colour nor texture", "<color> or <texture>")
         seen.add(name)
     for link in root.findall("link"):
         for material in link.iter("material"):
             if not material.get("name"):
-                yield _warning(f"{_name(link)}.material", "no name", "the name of a material")
+                yield warning_of(f"{_name(link)}.material", "no name", "the name of a material")
         for texture in link.iter("texture"):
             if not texture.get("filename"):
-                yield _warning(f"{_name(link)}.texture", "no file", "the name of a picture; none is shown")
+                yield warning_of(f"{_name(link)}.texture", "no file", "the name of a picture; none is shown")
 
 
 def _tree(root: ElementTree.Element) -> Iterator[Finding]:
@@ -234,31 +236,31 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
     for tag in ("link", "joint"):
         names = Counter(element.get("name", "") for element in root.findall(tag))
         for name in sorted(name for name, number in names.items() if number > 1 or not name):
-            yield _error(f"{tag}[{_plain(name)}]", f"{names[name]} of that name", "a unique name for each")
+            yield error_of(f"{tag}[{_plain(name)}]", f"{names[name]} of that name", "a unique name for each")
         if "universe" in names:
-            yield _error(f"{tag}[universe]", "pinocchio's name for the world", "another name")
+            yield error_of(f"{tag}[universe]", "pinocchio's name for the world", "another name")
     links = {link.get("name", "") for link in root.findall("link")}
     if not links:
-        yield _error("link", "none", "at least one link")
+        yield error_of("link", "none", "at least one link")
         return
     parents: dict[str, str] = {}
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed" and joint.get("name") in links:
-            yield _warning(_name(joint), "the name of a link", "a name that no link has, to be the arm's")
+            yield warning_of(_name(joint), "the name of a link", "a name that no link has, to be the arm's")
         ends = {}
         for end in ("parent", "child"):
             element = joint.find(end)
             ends[end] = "" if element is None else element.get("link", "")
             if ends[end] not in links:
-                yield _error(f"{_name(joint)}.{end}", shown(ends[end]), "the name of a link of this file")
+                yield error_of(f"{_name(joint)}.{end}", shown(ends[end]), "the name of a link of this file")
         if ends["child"] in parents:
-            yield _error(
+            yield error_of(
                 f"{_name(joint)}.child", _plain(ends["child"]), "a link that is no other joint's child"
             )
         parents[ends["child"]] = ends["parent"]
     roots = sorted(links - parents.keys())
     if len(roots) != 1:
-        yield _error("robot", f"root links {shown(roots)}", "exactly one link that is no joint's child")
+        yield error_of("robot", f"root links {shown(roots)}", "exactly one link that is no joint's child")
     yield from _rows(links, parents)
 
 
@@ -278,9 +280,9 @@ def _rows(links: set[str], parents: Mapping[str, str]) -> Iterator[Finding]:
         for number, name in enumerate(reversed(row), start=1):
             depths[name] = depth + number
     for link in sorted(cyclic):
-        yield _error(f"link[{_plain(link)}]", "a cycle of joints", "a tree")
+        yield error_of(f"link[{_plain(link)}]", "a cycle of joints", "a tree")
     if not cyclic and depths and (longest := max(depths.values())) > _MAX_CHAIN_LINKS:
-        yield _error("robot", f"{longest} joints in a row", f"at most {_MAX_CHAIN_LINKS}")
+        yield error_of("robot", f"{longest} joints in a row", f"at most {_MAX_CHAIN_LINKS}")
 
 
 def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
@@ -295,7 +297,7 @@ def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
     }
     for part, number in numbers.items():
         if number > _MAXIMA[part]:
-            yield _error("robot", counted(number, part), f"at most {_MAXIMA[part]}")
+            yield error_of("robot", counted(number, part), f"at most {_MAXIMA[part]}")
 
 
 def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
@@ -305,11 +307,11 @@ def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
         return
     mass, tensor = inertial.find("mass"), inertial.find("inertia")
     if mass is None or tensor is None:
-        yield _error(f"{_name(link)}.inertial", "no mass or no inertia", "both <mass> and <inertia>")
+        yield error_of(f"{_name(link)}.inertial", "no mass or no inertia", "both <mass> and <inertia>")
         return
     m = _float(mass, "value", math.nan)
     if m < 0:
-        yield _error(f"{_name(link)}.inertial.mass", m, "a mass that is not negative")
+        yield error_of(f"{_name(link)}.inertial.mass", m, "a mass that is not negative")
     xx, yy, zz, xy, xz, yz = (_float(tensor, name, 0.0) for name in _MOMENTS)
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if not np.isfinite(inertia).all():
@@ -318,10 +320,10 @@ def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
     listed = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
     if moments[0] < -_INERTIA_TOLERANCE * max(moments[2], 0.0) or moments[2] < 0:
         felt = moves and moments[0] < -_NEGLIGIBLE_INERTIA
-        yield (_error if felt else _warning)(f"{_name(link)}.inertial.inertia", listed, "none negative")
+        yield (error_of if felt else warning_of)(f"{_name(link)}.inertial.inertia", listed, "none negative")
     elif moments[2] > (moments[0] + moments[1]) * (1 + _INERTIA_TOLERANCE):
         expected = "the largest at most the sum of the others, as for any rigid body"
-        yield _warning(f"{_name(link)}.inertial.inertia", listed, expected)
+        yield warning_of(f"{_name(link)}.inertial.inertia", listed, expected)
 
 
 def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
@@ -331,15 +333,15 @@ def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
         shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
         if len(shapes) != 1 or shapes[0].tag not in _SHAPE_TAGS:
             listed = shown(", ".join(f"<{shape.tag}>" for shape in shapes))[1:-1] or "nothing"
-            yield _error(key, listed, "one of " + ", ".join(_SHAPE_TAGS))
+            yield error_of(key, listed, "one of " + ", ".join(_SHAPE_TAGS))
             continue
         for attribute in ("size", "radius", "length"):
             text = shapes[0].get(attribute, "")
             if any(word.startswith("-") for word in text.split()):
-                yield _error(f"{key}.{shapes[0].tag}.{attribute}", shown(text), "no negative size")
+                yield error_of(f"{key}.{shapes[0].tag}.{attribute}", shown(text), "no negative size")
         scale = shapes[0].get("scale", "1")
         if any(abs(number) < _ZERO_LENGTH for number in _floats(scale)):
-            yield _error(f"{key}.mesh.scale", shown(scale), "no scale of zero")
+            yield error_of(f"{key}.mesh.scale", shown(scale), "no scale of zero")
 
 
 def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
@@ -347,10 +349,10 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     kind = joint.get("type", "")
     if kind in _LOCKED_TYPES:
         expected = "a joint that turns or slides; this one is locked where it is"
-        yield _warning(f"{_name(joint)}.type", kind, expected)
+        yield warning_of(f"{_name(joint)}.type", kind, expected)
         return
     if kind not in _JOINT_TYPES:
-        yield _error(f"{_name(joint)}.type", shown(kind), "one of " + ", ".join(_JOINT_TYPES))
+        yield error_of(f"{_name(joint)}.type", shown(kind), "one of " + ", ".join(_JOINT_TYPES))
     if kind == "fixed":
         return
     axis = joint.find("axis")
@@ -360,18 +362,18 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
         numbers = [0.0] if text is None else _floats(text)
         if numbers and math.hypot(*numbers) < _ZERO_LENGTH:
             got = "no xyz" if text is None else shown(text)
-            yield _error(f"{_name(joint)}.axis", got, "a direction, not zero")
+            yield error_of(f"{_name(joint)}.axis", got, "a direction, not zero")
     limit = joint.find("limit")
     if limit is None:
         if kind in ("revolute", "prismatic"):
-            yield _error(f"{_name(joint)}.limit", "none", "<limit> with lower, upper, velocity and effort")
+            yield error_of(f"{_name(joint)}.limit", "none", "<limit> with lower, upper, velocity and effort")
         return
     lower, upper = _float(limit, "lower", 0.0), _float(limit, "upper", 0.0)
     if kind != "continuous" and lower > upper:
-        yield _error(f"{_name(joint)}.limit", f"lower {lower:g} > upper {upper:g}", "lower <= upper")
+        yield error_of(f"{_name(joint)}.limit", f"lower {lower:g} > upper {upper:g}", "lower <= upper")
     for name in ("velocity", "effort"):
         if _float(limit, name, 0.0) < 0:
-            yield _error(
+            yield error_of(
                 f"{_name(joint)}.limit.{name}", shown(limit.get(name)), "a number that is not negative"
             )
 

@@ -38,7 +38,7 @@ from cmbot.robot.description.self_collision import PAIR, srdf_of
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.elasticity import Elasticity, read_elasticity
 from cmbot.robot.holding_joints import HoldingJoint
-from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
+from cmbot.robot.inspection import Finding, default_arm, error_of, inspect_inertias, inspect_urdf, warning_of
 from cmbot.robot.limits import ASSUMPTIONS, joint_limits
 from cmbot.robot.robot import Robot
 
@@ -432,17 +432,10 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
         _, root = files.read()
         arm = default_arm(files, root)
         built = build_model(files.urdf, root, files.package_dirs)
-        drawn, thick = (
-            "a mesh file: a box is drawn in its place",
-            "a mesh with a volume: it counts as 1 mm thick",
-        )
-        found = [
-            *(Finding(severity="warning", key=key, got=got, expected=drawn) for key, got in built.unusable),
-            *(
-                Finding(severity="warning", key=f"link[{name}].collision", got="a flat mesh", expected=thick)
-                for name in built.flat
-            ),
-        ]
+        drawn = "a mesh file: a box is drawn in its place"
+        found = [warning_of(key, got, drawn) for key, got in built.unusable]
+        thick = "a mesh with a volume: it counts as 1 mm thick"
+        found += [warning_of(f"link[{name}].collision", "a flat mesh", thick) for name in built.flat]
         if arm is None:
             return found
         given = {name: getattr(files, name) for name in _LOADER_FIELDS}
@@ -450,7 +443,7 @@ def inspect_loaded(files: RobotFiles) -> list[Finding]:
         return [*found, *_assumed_limits(robot), *_questionable_masses(robot)]
     except ModelError as error:
         key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
-        return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
+        return [error_of(key, error.got, error.expected)]
 
 
 def _assumed_limits(robot: Robot) -> Iterator[Finding]:
@@ -460,8 +453,7 @@ def _assumed_limits(robot: Robot) -> Iterator[Finding]:
         name, by = ASSUMPTIONS[rate]
         expected = f"a positive bound, here or in a joint-limits file; assumed is {by}"
         for joint in np.array(robot.joints)[assumed]:
-            key = f"joint[{joint}].limit.{name.lower()}"
-            yield Finding(severity="warning", key=key, got="nothing", expected=expected)
+            yield warning_of(f"joint[{joint}].limit.{name.lower()}", "nothing", expected)
 
 
 def _questionable_masses(robot: Robot) -> Iterator[Finding]:
@@ -473,18 +465,12 @@ def _questionable_masses(robot: Robot) -> Iterator[Finding]:
                 for frame in robot.model.frames
                 if frame.parentJoint == number and frame.type == pin.FrameType.BODY
             )
-            got, expected = (
-                f"{inertia.mass:g} kg, with what is fixed to it",
-                "<inertial>, as a joint moves it",
-            )
-            yield Finding(severity="warning", key=f"link[{body}].inertial.mass", got=got, expected=expected)
+            got = f"{inertia.mass:g} kg, with what is fixed to it"
+            yield warning_of(f"link[{body}].inertial.mass", got, "<inertial>, as a joint moves it")
     if robot.arm_mass > (most := _MAX_DENSITY_KG_M3 * robot.reach**3):
-        yield Finding(
-            severity="warning",
-            key="link.inertial.mass",
-            got=f"{robot.arm_mass:.4g} kg that move, with a reach of {robot.reach:.3f} m",
-            expected=f"less than {most:.0f} kg, as water in a cube of that length; masses are in kg",
-        )
+        got = f"{robot.arm_mass:.4g} kg that move, with a reach of {robot.reach:.3f} m"
+        expected = f"less than {most:.0f} kg, as water in a cube of that length; masses are in kg"
+        yield warning_of("link.inertial.mass", got, expected)
 
 
 def srdf_text(files: RobotFiles) -> str:
