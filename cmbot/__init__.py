@@ -25,101 +25,63 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cmbot.common.errors import (
-    ArchiveError,
-    CmbotError,
-    InputError,
-    LimitViolation,
-    MissingExtra,
-    ModelError,
-    OptimisationFailed,
-    PathNotFound,
-    PlanningError,
-    SceneError,
-    SimulationDiverged,
+    ArchiveError as ArchiveError,
+    CmbotError as CmbotError,
+    InputError as InputError,
+    LimitViolation as LimitViolation,
+    MissingExtra as MissingExtra,
+    ModelError as ModelError,
+    OptimisationFailed as OptimisationFailed,
+    PathNotFound as PathNotFound,
+    PlanningError as PlanningError,
+    SceneError as SceneError,
+    SimulationDiverged as SimulationDiverged,
 )
-from cmbot.common.lazy_imports import on_first_use
-from cmbot.version import __version__
+from cmbot.common.lazy_imports import exported, on_first_use
+from cmbot.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from cmbot.archive import (
-        load_excitation,
-        load_plan,
-        load_tour,
-        load_tracking,
-        load_walk,
-        save,
-        save_excitation,
-        save_tracking,
+        load_excitation as load_excitation,
+        load_plan as load_plan,
+        load_tour as load_tour,
+        load_tracking as load_tracking,
+        load_walk as load_walk,
+        save as save,
+        save_excitation as save_excitation,
+        save_tracking as save_tracking,
     )
-    from cmbot.campaigns import Campaign, campaign
-    from cmbot.evaluation import Evaluation, evaluate
-    from cmbot.excitation import Excitation, excite
-    from cmbot.identification import Identification, Location, identify, locate
-    from cmbot.planning import Plan, QuinticTrajectory, plan, replan
-    from cmbot.robot import Robot, load_robot
-    from cmbot.scene import PlannerOptions, Scene, load_scene
-    from cmbot.simulation import SimulationOptions, Tracking, simulate
-    from cmbot.stances.walking import Tour, Walk, tour, walk
-    from cmbot.views import plot, replay, report, show
-
-__all__ = [
-    "ArchiveError",
-    "Campaign",
-    "CmbotError",
-    "Evaluation",
-    "Excitation",
-    "Identification",
-    "InputError",
-    "LimitViolation",
-    "Location",
-    "MissingExtra",
-    "ModelError",
-    "OptimisationFailed",
-    "PathNotFound",
-    "Plan",
-    "PlannerOptions",
-    "PlanningError",
-    "QuinticTrajectory",
-    "Robot",
-    "Scene",
-    "SceneError",
-    "SimulationDiverged",
-    "SimulationOptions",
-    "Tour",
-    "Tracking",
-    "Walk",
-    "__version__",
-    "campaign",
-    "evaluate",
-    "excite",
-    "identify",
-    "load_excitation",
-    "load_plan",
-    "load_robot",
-    "load_scene",
-    "load_tour",
-    "load_tracking",
-    "load_walk",
-    "locate",
-    "plan",
-    "plot",
-    "replan",
-    "replay",
-    "report",
-    "save",
-    "save_excitation",
-    "save_tracking",
-    "show",
-    "simulate",
-    "tour",
-    "walk",
-]
+    from cmbot.campaigns import Campaign as Campaign, campaign as campaign
+    from cmbot.evaluation import Evaluation as Evaluation, evaluate as evaluate
+    from cmbot.excitation import Excitation as Excitation, excite as excite
+    from cmbot.identification import (
+        Identification as Identification,
+        Location as Location,
+        identify as identify,
+        locate as locate,
+    )
+    from cmbot.planning import (
+        Plan as Plan,
+        QuinticTrajectory as QuinticTrajectory,
+        plan as plan,
+        replan as replan,
+    )
+    from cmbot.robot import Robot as Robot, load_robot as load_robot
+    from cmbot.scene import PlannerOptions as PlannerOptions, Scene as Scene, load_scene as load_scene
+    from cmbot.simulation import (
+        SimulationOptions as SimulationOptions,
+        Tracking as Tracking,
+        simulate as simulate,
+    )
+    from cmbot.stances.walking import Tour as Tour, Walk as Walk, tour as tour, walk as walk
+    from cmbot.views import plot as plot, replay as replay, report as report, show as show
 
 _MODULES = (
     *("archive", "campaigns", "evaluation", "excitation", "identification", "planning"),
     *("robot", "scene", "simulation", "views", "stances"),
 )
 __getattr__ = on_first_use(__name__, _MODULES)
+__all__ = [*exported(__name__)]
 
 
 def __dir__() -> list[str]:

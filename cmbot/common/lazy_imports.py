@@ -25,8 +25,7 @@ def on_first_use(package: str, submodules: Sequence[str] = ()) -> Callable[[str]
 
     @cache
     def module_of() -> dict[str, str | None]:
-        source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
-        blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+        blocks = (node for node in _source_of(package).body if isinstance(node, ast.If))
         imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
         return {name.name: node.module for node in imports for name in node.names}
 
@@ -40,3 +39,13 @@ def on_first_use(package: str, submodules: Sequence[str] = ()) -> Callable[[str]
         return value
 
     return attribute
+
+
+def exported(package: str) -> list[str]:
+    """Return the names that a package imports ``as`` they are called (PEP 484), its ``__all__``."""
+    imports = (node for node in ast.walk(_source_of(package)) if isinstance(node, ast.ImportFrom))
+    return sorted(name.name for node in imports for name in node.names if name.name == name.asname)
+
+
+def _source_of(package: str) -> ast.Module:
+    return ast.parse(Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8"))

@@ -175,7 +175,7 @@ def test_dir_and_all_are_complete() -> None:
     assert len(cmbot.__dir__()) == len(set(cmbot.__dir__()))
     assert len(cmbot.__all__) == len(set(cmbot.__all__))
     public = {name for name in dir(cmbot) if not name.startswith("_")}
-    helpers = {"annotations", "on_first_use", "TYPE_CHECKING"}
+    helpers = {"annotations", "exported", "on_first_use", "TYPE_CHECKING"}
     modules = {name for name in public if inspect.ismodule(getattr(cmbot, name))}
     assert public - modules - helpers == set(cmbot.__all__) - {"__version__"}
 
