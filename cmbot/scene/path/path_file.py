@@ -91,8 +91,8 @@ class PathFile(FileModel):
     where it turns in place. Neighbours less than 0.1 mm apart are one, and dense ones are missed by up to a
     quarter of the tolerance."""
     corner_deg: Annotated[float, Field(ge=1, le=180)] = 15.0
-    """Waypoints at which the path bends by more, and twice as much as beside, are corners; by 60 degrees always,
-    with ``seconds: auto`` also within 15 mm. Where no spline keeps dense ones a third will do."""
+    """Waypoints at which the path bends by more, and twice as much as beside, are corners; by 60 degrees
+    always, with ``seconds: auto`` also within 15 mm. Where no spline keeps dense ones a third will do."""
     reconfigurations: Annotated[int, Field(ge=0, le=100)] | None = None
     """How often a path may be cut, where no posture leads on."""
     raster: Raster | None = None
