@@ -170,9 +170,8 @@ def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
     "legs",
     [
         [{"by": [0, -0.3, 0], "seconds": 6}],
-        [{"by": [0, -0.3, 0], "seconds": 60}],
-        [{"by": [0, -0.1, 0], "seconds": 20}, {"pause": 5}, {"by": [0, -0.2, 0], "seconds": 40}],
-        [{"pause": 2}, {"by": [0, -0.3, 0], "seconds": 60}],
+        [{"by": [0, -0.1, 0], "seconds": 7}, {"pause": 5}, {"by": [0, -0.2, 0], "seconds": 14}],
+        [{"pause": 2}, {"by": [0, -0.3, 0], "seconds": 24}],
     ],
 )
 def test_neither_speed_nor_rests_change_what_is_along_the_path(legs: list[dict[str, Any]]) -> None:
@@ -219,6 +218,7 @@ def test_the_radius_is_that_of_an_independent_monte_carlo(compensate: bool) -> N
     planned = plan(
         short_scene(
             robot={"joints": "elastic"},
+            tool_path={"legs": [{"by": [0, -0.1, 0], "seconds": 2}]},
             uncertainty=unknown.model_dump(mode="json"),
             planner={"compensate": compensate},
         ),
