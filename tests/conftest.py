@@ -21,12 +21,13 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 from rail_arms import rail_scene
+from shared_plans import planned
 from small_scenes import short_scene, strokes_scene
 from state_samples import FloatArray, StateSamples
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
-from cmbot.planning import Deadline, Plan, plan, planner, robot_of
+from cmbot.planning import Deadline, Plan, planner, robot_of
 from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, load_scene
@@ -90,12 +91,12 @@ def cmbot_kinematics(cmbot_robot: Robot) -> Kinematics:
 
 @pytest.fixture(scope="session")
 def triangle_plan() -> Plan:
-    return plan(load_scene("triangle"))
+    return planned(load_scene("triangle"))
 
 
 @pytest.fixture(scope="session")
 def line_plan() -> Plan:
-    return plan(load_scene("line"))
+    return planned(load_scene("line"))
 
 
 @pytest.fixture(scope="session")
@@ -105,7 +106,7 @@ def triangle_tracking(triangle_plan: Plan) -> Tracking:
 
 @pytest.fixture(scope="session")
 def compensated_short() -> tuple[Plan, Tracking]:
-    made = plan(short_scene(planner={"compensate": True}))
+    made = planned(short_scene(planner={"compensate": True}))
     return made, simulate(made, SimulationOptions(settle_s=0.5))
 
 
@@ -113,13 +114,13 @@ def compensated_short() -> tuple[Plan, Tracking]:
 def returning_plan() -> Plan:
     """From the short scene's posture to work, with an approach, and to the stow posture."""
     planner = {"knots": "sliding"}
-    return plan(short_scene(planner=planner, **{"return": "stow"}))
+    return planned(short_scene(planner=planner, **{"return": "stow"}))
 
 
 @pytest.fixture(scope="session")
 def strokes_plan() -> Plan:
     """Of two strokes, `there` and `back`, with an approach, a free move between them and a return."""
-    return plan(strokes_scene())
+    return planned(strokes_scene())
 
 
 @pytest.fixture(scope="session")
@@ -129,7 +130,7 @@ def strokes_tracking(strokes_plan: Plan) -> Tracking:
 
 def _with_fixed_knots(name: str) -> Plan:
     scene = load_scene(name)
-    return plan(scene, options=replace(scene.planner, knots="fixed", compensate=False))
+    return planned(scene, options=replace(scene.planner, knots="fixed", compensate=False))
 
 
 @pytest.fixture(scope="session")
@@ -141,7 +142,7 @@ def fixed_triangle_plan() -> Plan:
 @pytest.fixture(scope="session")
 def rail_plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     """Of an arm of seven joints, two of which slide."""
-    return plan(rail_scene(tmp_path_factory.mktemp("rail"), start="pinned"))
+    return planned(rail_scene(tmp_path_factory.mktemp("rail"), start="pinned"))
 
 
 @pytest.fixture(scope="session")

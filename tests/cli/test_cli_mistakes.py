@@ -217,7 +217,7 @@ def test_the_obstacle_in_the_way_is_named() -> None:
         scene = {
             **SHORT,
             "obstacles": [wall],
-            "planner": {"knots": knots, "other_starts": 2, "chart_seeds": 20},
+            "planner": {"knots": knots, "other_starts": 0, "chart_seeds": 20},
         }
         scene["tool_path"] = {"legs": [{"by": [0.4, 0, 0], "seconds": 4}], "via_points": 8}
         with pytest.raises(PathNotFound, match="wall") as caught:

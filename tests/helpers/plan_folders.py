@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError
-from cmbot.planning import Job, Plan, QuinticTrajectory, Samples, plan
+from cmbot.planning import Job, Plan, QuinticTrajectory, Samples
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 FILES = {"plan.json", "job.csv", "job.npz", "baseline.csv"}
@@ -47,7 +48,7 @@ def thin_plan(triangle_plan: Plan) -> Plan:
 @pytest.fixture(scope="session")
 def short_plan() -> Plan:
     """A small plan whose knots are fixed: no floor, no choice, no approach."""
-    return plan(short_scene())
+    return planned(short_scene())
 
 
 @pytest.fixture(scope="session")

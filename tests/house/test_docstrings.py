@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from shared_plans import planned
 
 import cmbot
 
@@ -25,12 +26,13 @@ def test_examples_of_the_public_names_run(tmp_path: Path, monkeypatch: pytest.Mo
     pytest.importorskip("matplotlib")
     functions = {name for name in cmbot.__all__ if name.islower() and not name.startswith("_")}
     assert functions == set(NAMES)
+    texts = {name: getattr(cmbot, name).__doc__ for name in NAMES}
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cmbot, "plan", planned)
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=FLAGS)
     names = {"cmbot": cmbot}
     ran = 0
-    for name in NAMES:
-        text = getattr(cmbot, name).__doc__
+    for name, text in texts.items():
         assert "\n    Examples\n    --------\n" in text, name
         test = parser.get_doctest(text, names, f"cmbot.{name}", None, None)
         said: list[str] = []

@@ -12,6 +12,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from shared_plans import planned
+
+import cmbot
 
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
 
@@ -22,6 +25,7 @@ def run(name: str, folder: Path) -> str:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.chdir(folder)
         patch.setattr(sys, "argv", [str(EXAMPLES / name)])
+        patch.setattr(cmbot, "plan", planned)
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
     assert err.getvalue() == ""
     assert list(folder.iterdir()) == [], "an example left something behind"

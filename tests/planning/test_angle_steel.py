@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from told import require_told
 
-from cmbot import load_scene, plan
+from cmbot import load_scene
 from cmbot.planning import Plan
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
@@ -12,7 +13,7 @@ from cmbot.robot import Kinematics
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return plan(load_scene("angle_steel"))
+    return planned(load_scene("angle_steel"))
 
 
 def test_the_tool_goes_up_one_flange_and_down_the_other(job: Plan) -> None:

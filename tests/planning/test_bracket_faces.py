@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from told import require_told
 
-from cmbot import load_scene, plan
+from cmbot import load_scene
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Kinematics
 
@@ -14,7 +15,7 @@ NORMALS = {"left": (0, 1, 0), "front": (-1, 0, 0), "right": (0, -1, 0)}
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return plan(load_scene("bracket_faces"))
+    return planned(load_scene("bracket_faces"))
 
 
 def test_the_nozzle_is_within_its_cone_over_each_face(job: Plan) -> None:

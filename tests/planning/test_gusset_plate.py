@@ -5,16 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from told import require_told
 
-from cmbot import load_plan, load_scene, plan, save
+from cmbot import load_plan, load_scene, save
 from cmbot.planning import Plan
 from cmbot.robot import Kinematics
 
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return plan(load_scene("gusset_plate"))
+    return planned(load_scene("gusset_plate"))
 
 
 def test_the_tool_covers_the_plate_square_to_it(job: Plan) -> None:

@@ -2,16 +2,17 @@
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from told import require_told
 
-from cmbot import load_scene, plan
+from cmbot import load_scene
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Kinematics
 
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return plan(load_scene("panda_sanding"))
+    return planned(load_scene("panda_sanding"))
 
 
 def test_the_tool_is_square_to_the_board_along_each_row(job: Plan) -> None:

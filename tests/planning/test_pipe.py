@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from shared_plans import planned
 from told import require_told
 
-from cmbot import load_scene, plan
+from cmbot import load_scene
 from cmbot.planning import Plan
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
@@ -13,7 +14,7 @@ from cmbot.toolpath import Coverage
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return plan(load_scene("pipe"))
+    return planned(load_scene("pipe"))
 
 
 def test_the_tool_covers_the_pipe_square_to_it(job: Plan) -> None:
