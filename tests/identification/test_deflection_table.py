@@ -210,7 +210,7 @@ def test_units_signs_and_exchanged_columns_are_recognised(
     tmp_path: Path,
     rng: np.random.Generator,
 ) -> None:
-    q = POSTURE + np.random.default_rng(5).uniform(-0.4, 0.4, (5, 7))
+    q = POSTURE + np.random.default_rng(5).uniform(-0.4, 0.4, (4, 7))
     arm = measured_arm(short_scene())
     setup = read_measurements(
         {

@@ -181,7 +181,7 @@ def test_an_arm_far_from_its_model_is_no_slip(proposal: Proposal, modelled: Elas
         require_fit(estimate(metres, modelled))
 
 
-@pytest.mark.parametrize("share", [0.02, 0.1])
+@pytest.mark.parametrize("share", [0.04, 0.1])
 def test_a_base_far_from_its_model_needs_a_wider_prior(
     share: float, proposal: Proposal, modelled: ElasticArm
 ) -> None:
