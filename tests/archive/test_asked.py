@@ -58,7 +58,8 @@ def options(**changes: Any) -> Callable[[dict[str, Any]], object]:
 def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: Plan) -> None:
     data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
     assert (data["scenes"], data["looser"]) == ([str(asked)], [])
-    told = output("verify", short_folder).partition("\n")[0]
+    told, _, rest = output("verify", short_folder).partition("\n")
+    assert "Not verified: " in rest
     assert told.startswith("Judged by what the folder says that was asked: --scene SCENE names the scene.")
     assert told.endswith(
         "'rigid'; its own tool_path; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."
@@ -86,7 +87,6 @@ def test_a_promise_is_loosened(
     assert output("verify", short_folder).startswith(
         f"Promised otherwise than the scene in the folder asks: {told}"
     )
-    assert json.loads(output("verify", short_folder, "--json"))["looser"] == [told]
     error = refusal("verify", short_folder, "--scene", asked)
     expected = "promises as strict as what was asked"
     assert error == f"error: {short_folder}/plan.json: options: got {told}, expected {expected}"
@@ -124,9 +124,8 @@ def test_other_options_than_asked_are_told(short_folder: Path, asked: Path) -> N
     """What is promised is the same: it is no reason to refuse."""
     edit(short_folder, options(min_gain=0.5, chart_seeds=1))
     told = ["chart_seeds 1 (asked 200)", "min_gain 0.5 (asked 0.02)"]
-    for words in ((), ("--scene", asked)):
-        assert sorted(json.loads(output("verify", short_folder, *words, "--json"))["other_options"]) == told
-        assert "Options other than asked: " in output("verify", short_folder, *words)
+    assert sorted(json.loads(output("verify", short_folder, "--json"))["other_options"]) == told
+    assert "Options other than asked: " in output("verify", short_folder, "--scene", asked)
 
 
 def test_a_link_is_named(short_folder: Path, tmp_path: Path) -> None:
@@ -219,14 +218,14 @@ def test_what_was_asked_by_set(short_folder: Path, asked: Path) -> None:
 
 def several(**changes: Any) -> Scene:
     scene = strokes_scene()
-    entries = {**scene.as_data(), "planner": {"knots": "fixed", "path_step_s": 0.02}}
+    entries = {**scene.as_data(), "planner": {"knots": "fixed", "path_step_s": 0.02, "baseline": "none"}}
     first, second = entries["tool_path"]["strokes"]
     begin = {"frame": "world", "xyz": [1.8154, 0.7796, -1.9628]}
     strokes = [{**first, "from": begin}, second]
     return load_scene({**entries, "tool_path": {"strokes": strokes, **changes}})
 
 
-@pytest.mark.parametrize("changes", [{}, {"order": "best"}, {"via_points": "auto"}])
+@pytest.mark.parametrize("changes", [{}, {"order": "best", "via_points": "auto"}])
 def test_strokes_and_what_planning_decides_of_them(changes: dict[str, Any], tmp_path: Path) -> None:
     scene = several(**changes)
     folder = save(plan(scene), tmp_path / "strokes")
@@ -266,7 +265,10 @@ def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
     """They may be left out, unless all of them were asked for."""
     # With this law all via-points that are asked for can be kept.
     law = {"speed_m_s": 0.1, "speed_profile": {"kind": "jerk_limited", "ramp": 0.25}}
-    scene = raster_scene(tmp_path, HOLE, law)
+    scene, whole = (
+        raster_scene(tmp_path, HOLE, law, cover=cover).with_options(baseline="none")
+        for cover in (None, "all")
+    )
     folder = save(plan(scene), tmp_path / "rows")
     (stroke,) = load_plan(folder, verify=True, scene=scene).scene.strokes
     assert stroke.raster is not None
@@ -274,7 +276,7 @@ def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
     told = json.loads(output("verify", folder, "--json"))["not_verified"]
     assert any(re.match(r"raster work \(that nothing reaches .*, \d+ % of it\)", claim) for claim in told)
     with pytest.raises(ArchiveError, match="as asked"):
-        load_plan(folder, verify=True, scene=raster_scene(tmp_path, HOLE, law, cover="all"))
+        load_plan(folder, verify=True, scene=whole)
     # What is reached may not be left out.
     fewer = stroke.changed(raster=replace(stroke.raster, pieces=stroke.raster.pieces[:-1]))
     lazy = replace(load_plan(folder), scene=scene.with_strokes([fewer]))
@@ -674,7 +676,6 @@ def test_claims_are_computed_again_or_named(triangle_folder: Path) -> None:
     for claim in ("torque_floor (", "gap_to_floor", "choice", "baseline", "no motion has a lower torque"):
         assert claim in claims
     assert "tool_path.order" not in claims
-    assert "Not verified: baseline" in output("verify", triangle_folder)
 
 
 @pytest.mark.parametrize(
