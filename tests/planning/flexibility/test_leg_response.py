@@ -1,12 +1,9 @@
 """The predicted sway of laws along a leg, against the integrator of the accuracy budget."""
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from quiet import quiet_scene
 from small_scenes import SHORT
 
 from cmbot import Plan, load_scene, plan
@@ -15,9 +12,13 @@ from cmbot.accuracy.sway import Sway
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.modes import linearised
 from cmbot.planning import bending_arm
+from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.flexibility.leg_response import LegResponse
+from cmbot.planning.initial_guess import InitialGuess
+from cmbot.planning.timing.timing import Timing
 from cmbot.robot import load_robot
-from cmbot.toolpath import SpeedProfile, TimeLaw, extra_insensitive
+from cmbot.scene import Scene
+from cmbot.toolpath import LegLaw, SpeedProfile, TimeLaw, extra_insensitive
 
 SECONDS = 3.0
 
@@ -96,10 +97,14 @@ def test_a_shaper_lessens_the_swing_that_is_predicted() -> None:
     assert (found.sway[1] < found.sway[0]).all()
 
 
+def quiet_short() -> Scene:
+    data = {**SHORT, "tool_path": {**SHORT["tool_path"], "speed_profile": {"kind": "quiet", "ramp": 0.3}}}
+    return load_scene(data)
+
+
 @pytest.fixture(scope="module")
 def quiet_plan() -> Plan:
-    data = {**SHORT, "tool_path": {**SHORT["tool_path"], "speed_profile": {"kind": "quiet", "ramp": 0.3}}}
-    return plan(load_scene(data))
+    return plan(quiet_short())
 
 
 def test_a_quiet_plan_sways_no_more_than_by_its_profile_alone(quiet_plan: Plan) -> None:
@@ -117,13 +122,27 @@ def test_laws_of_a_quiet_plan_take_the_seconds_of_the_scene(quiet_plan: Plan) ->
         assert (law.law.continuity == 3).all()
 
 
-@pytest.mark.slow
-def test_laws_by_which_the_optimised_motion_sways_more_are_given_up(tmp_path: Path) -> None:
-    """An xArm7 whose jerks allow fewer via-points: laws chosen along the guess are none for their path."""
-    data = quiet_scene(168329, 11, str(tmp_path))
-    data["tool_path"] |= {"speed_profile": {"kind": "quiet", "ramp": 0.3}, "via_points": 100}
-    (file := tmp_path / "quiet.yaml").write_text(json.dumps(data), encoding="utf-8")
-    made = plan(load_scene(file), progress=False)
+def test_laws_by_which_the_optimised_motion_sways_more_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an xArm7's are, whose jerks allow fewer via-points: the laws are then those of another path."""
+    tried = list[LegLaw]()
+
+    def hasty(attempt: Attempt) -> Attempt:
+        assert isinstance(attempt.guess, InitialGuess)
+        if attempt.plain:
+            return attempt
+        tried.append(LegLaw.of(0, TimeLaw.ramped("quiet", 0.15, 0.7, 0.15), 4.0))
+        path = attempt.guess.problem.parametrization.trajectory
+        timed = attempt.in_timing(Timing.along(attempt.request, path, (), tuple(tried)))
+        assert isinstance(timed, Attempt)
+        return timed
+
+    monkeypatch.setattr(Attempt, "quiet", lambda attempt: attempt)
+    plain = plan(quiet_short())
+    monkeypatch.setattr(Attempt, "quiet", hasty)
+    made = plan(quiet_short())
+    assert len(tried) == 1
     # By the law of its profile alone.
     assert not made.scene.strokes[0].time_laws
     assert made.sway is not None and made.sway.unshaped_sway_mm is None
+    np.testing.assert_array_equal(made.trajectory.q, plain.trajectory.q)
+    assert made.runs == plain.runs + 1
