@@ -19,7 +19,7 @@ from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.collision import Box, Capsule, Clearances, Cylinder, Obstacle, PointDistances, Sphere
 from cmbot.collision.shapes import coal_shapes, without_tip
 from cmbot.common.errors import ArchiveError, PathNotFound, SceneError
-from cmbot.planning import certify_move, plan, precheck_scene, robot_of
+from cmbot.planning import certify_move, plan, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
 from cmbot.trajectory import SplineSpace
@@ -201,8 +201,8 @@ def test_on_free_moves_the_tip_goes_no_deeper_than_at_their_ends() -> None:
 
 def test_a_free_move_that_digs_is_not_certified() -> None:
     scene = touching_scene(60.0)
-    made = plan(scene)
-    robot, options = made.robot, scene.planner
+    robot, options = robot_of(scene), scene.planner
+    task = task_of(strokes_of(scene, robot)[0], scene).held_at_start()
     ends = [posture_at(robot, scene.posture, [0.5, y, 0.3]) for y in (-0.05, 0.05)]
     for depth, holds in ((0.0, True), (0.02, False)):
         middle = posture_at(robot, scene.posture, [0.5, 0.0, 0.305 - depth])
@@ -210,9 +210,8 @@ def test_a_free_move_that_digs_is_not_certified() -> None:
         half = [0.5 * (end + middle) for end in ends]
         knots = np.stack([ends[0], half[0], middle, half[1], ends[1]])
         trajectory = space.trajectory(space.least_jerk(knots))
-        held = made.job.strokes[0].task.held_at_start()
         clearances = Clearances(robot, scene.all_obstacles)
-        certificate = certify_move(robot, held, trajectory, clearances, options, *ends)
+        certificate = certify_move(robot, task, trajectory, clearances, options, *ends)
         broken = [check.quantity for check in certificate.checks if not check.holds]
         assert certificate.holds == holds, broken
         assert holds or any("board" in quantity for quantity in broken)

@@ -79,7 +79,7 @@ def swayed(tolerance: Tolerance | None) -> RandomSway:
     return sway_of(t, [response] * 3, moments, tolerance, draw)
 
 
-@pytest.mark.parametrize("share", [0.02, 0.05, 0.1, 0.25, 0.5])
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
 def test_exceedance_is_that_of_ten_thousand_records(
     distances: tuple[np.ndarray, np.ndarray], share: float
 ) -> None:

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from plan_folders import edit
 from scipy.interpolate import make_interp_spline
+from shared_plans import planned
 from small_scenes import request_of, short_scene
 
 from cmbot import load_scene
@@ -137,7 +137,7 @@ def quick_plan() -> Plan:
     path = {"legs": legs, "seconds": "auto", "speed_profile": shortest, "max_base_torque_nm": 500}
     path["via_points"] = 26
     tool = {"max_speed_m_s": 1.0}
-    return plan(short_scene(tool=tool, tool_path=path))
+    return planned(short_scene(tool=tool, tool_path=path))
 
 
 def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
@@ -154,11 +154,10 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
     ]
 
 
-@cache
 def in_auto(kind: str = "quiet", **changes: Any) -> Plan:
     changes |= {"speed_profile": {"kind": kind}}
     path = {"legs": [{"by": [0, 0.1, 0]}], "seconds": "auto", "via_points": 21, **changes}
-    return plan(load_scene({**SOFT_MAST, "tool_path": path}), progress=False)
+    return planned(load_scene({**SOFT_MAST, "tool_path": path}))
 
 
 def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
