@@ -10,6 +10,7 @@ from hashlib import sha256
 from json import dumps
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import cloudpickle
 
@@ -28,6 +29,15 @@ def _removed(folder: str) -> None:
 if _NAMED_BY not in os.environ:
     os.environ[_NAMED_BY] = mkdtemp(prefix="cmbot_plans_")
     atexit.register(_removed, os.environ[_NAMED_BY])
+
+
+class _Pickler(cloudpickle.Pickler):
+    """Also of errors, whose fields are named: Python would make them of their message alone."""
+
+    def reducer_override(self, made: Any) -> Any:
+        if isinstance(made, Exception):
+            return type(made).__new__, (type(made), *made.args), vars(made)
+        return super().reducer_override(made)
 
 
 def planned(
@@ -49,7 +59,8 @@ def planned(
     with file.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not file.exists():
-            file.write_bytes(cloudpickle.dumps(plan(scene, options=options, progress=False)))
+            with file.open("wb") as written:
+                _Pickler(written).dump(plan(scene, options=options, progress=False))
     return _read(file)
 
 
