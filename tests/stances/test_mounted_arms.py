@@ -44,14 +44,14 @@ def panda(**changes: Any) -> Scene:
             "legs": [{"by": [0, 0.2, 0], "speed_m_s": 0.1}],
             "via_points": 11,
         },
-        "planner": {"time_limit_s": 60},
+        "planner": {"time_limit_s": 60, "baseline": "none"},
     }
     return cmbot.load_scene(data | changes)
 
 
 @pytest.fixture(scope="module")
 def mounted() -> Scene:
-    rail = {"origin": [0.2, 0, 0], "along": [0.9, 0, 0], "count": 4}
+    rail = {"origin": [0.2, 0, 0], "along": [0.9, 0, 0], "count": 3}
     return panda(mounts=[{"name": "rail", "rail": rail}, {"name": "far", "xyz": [9, 9, 0]}])
 
 

@@ -84,13 +84,14 @@ def candidates(scene: Scene) -> list[Candidate]:
 def test_stances_in_which_the_arm_cannot_be_stowed_are_left_out_first(
     candidates: list[Candidate], hold: dict[str, Any]
 ) -> None:
-    """By joints, feet and locked joints of the robot that its scene has there, one by one."""
+    """By joints, feet and locked joints of the robot that its scene has there, for every sixth."""
     scene = in_world(scene_of(guardrail={"hold": hold}))
     flat = [each for each in candidates if has_flat_foot(scene, each)]
     unheld = Screener(scene, robot_of(scene), flat, "torque").unheld()
     assert 0 < len(unheld) < len(flat)
-    for k, candidate in enumerate(flat):
-        placed = scene_at(put_away(scene), candidate, None)
+    left = len(unheld)
+    for k in range(0, len(flat), 6):
+        placed = scene_at(put_away(scene), flat[k], None)
         robot = robot_of(placed)
         efforts = Dynamics(robot.tool_off).static_efforts(np.array(placed.posture)[None])
         joints, feet = np.abs(efforts.joint_torque[0]) / robot.limits.torque, robot.holding
@@ -98,10 +99,12 @@ def test_stances_in_which_the_arm_cannot_be_stowed_are_left_out_first(
         use = max(joints.max(), feet.share(efforts.guardrail_wrench)[0][0])
         assert (k in unheld) == (use > 1)
         if use > 1:
+            left -= 1
             assert unheld[k].excess == pytest.approx(use, rel=1e-6)
             assert unheld[k].cause.startswith(
                 "a foot" if joints.max() < use else robot.joints[joints.argmax()]
             )
+    assert 0 < left < len(unheld)
 
 
 def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates: list[Candidate]) -> None:
@@ -537,7 +540,7 @@ def test_none_that_was_not_planned_may_be_much_better(ranking: StanceRanking) ->
 def test_no_stance_beyond_a_bound_is_the_best(scene: Scene, ranking: StanceRanking) -> None:
     (own,) = ranking.own
     most = 0.999 * own.figures.job_torque
-    (bounded,) = stand(scene, replace(COARSE, bounds=Bounds(base_torque_nm=most)))
+    (bounded,) = stand(scene, replace(FEW, bounds=Bounds(base_torque_nm=most)))
     (left_out,) = bounded.own
     assert left_out.status == "beyond a bound"
     assert re.fullmatch(r"torque on the base .* Nm planned, .* Nm are allowed", left_out.rejection.reason)
