@@ -35,8 +35,8 @@ scene = cmbot.load_scene(
         "format": "cmbot-scene/2",
         "name": "stroke",
         "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
-        "tool_path": {"keep": "position", "legs": [{"by": [0, -0.2, 0], "seconds": 3}], "via_points": 5},
-        "planner": {"chart_spacing": 0.4},  # rad, coarse: a self-motion of four dimensions is wide
+        "tool_path": {"keep": "position", "legs": [{"by": [0, -0.1, 0], "seconds": 2}], "via_points": 5},
+        "planner": {"chart_spacing": 0.5},  # rad, coarse: a self-motion of four dimensions is wide
     }
 )
 usual = cmbot.plan(scene)  # minimises the torque on the guardrail

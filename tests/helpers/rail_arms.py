@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_files import replace
+from urdf_arms import path_of
 
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import Scene, load_scene
@@ -65,7 +66,7 @@ def rail_data(folder: Path, posture: dict[str, Any] | None = None, **planner: An
             "mount": mount,
         },
         **({"start": {"posture": list(POSTURE)}} if posture is None else posture),
-        "tool_path": {"legs": [{"by": [0.1, 0.0, -0.06], "seconds": 4}], "via_points": 8},
+        "tool_path": path_of("pose", 8, ([0.1, 0.0, -0.06], 4.0)),
         "obstacles": [{"name": "post", "box": [0.1, 0.1, 1.0], "xyz": [0.55, 0.75, 0.5]}],
         "planner": {"compensate": False, **planner},
     }

@@ -142,19 +142,19 @@ def six_joint_scene(
 def arm_scene(folder: Path, arm: str, keep: str = "pose", knots: str = "sliding", **planner: Any) -> Scene:
     """A ``kinova`` or ``panda`` that follows a short leg."""
     posture = {"kinova": [-85, 167, 57, -119, 82, 75], "panda": [10, -30, 5, -120, 10, 90, 20]}[arm]
-    path = {"legs": [{"by": [0.02, 0.05, -0.06], "seconds": 4}], "via_points": 8, "keep": keep}
+    path = path_of(keep, 8, ([0.02, 0.05, -0.06], 4.0))
     return load_scene(scene_data(folder, arm, posture, path, **{"knots": knots, **planner}))
 
 
 def panda_scene(folder: Path, **tool_path: Any) -> Scene:
     """A Panda that follows a short leg downwards."""
-    path = {"legs": [{"by": [0.0, 0.0, -0.1], "seconds": 4}], "via_points": 8, **tool_path}
+    path = path_of("pose", 8, ([0.0, 0.0, -0.1], 4.0)) | tool_path
     return load_scene(scene_data(folder, "panda", [0, -30, 0, -110, 0, 90, 45], path, _TURNED))
 
 
 def endless_scene(folder: Path, **tool_path: Any) -> Scene:
     """An arm with four endless joints that follows a short leg."""
-    path = {"legs": [{"by": [0.0, 0.1, 0.05], "seconds": 4}], "via_points": 8, **tool_path}
+    path = path_of("pose", 8, ([0.0, 0.1, 0.05], 4.0)) | tool_path
     return load_scene(scene_data(folder, "endless", [10, 40, 20, 80, -15, 60, 0], path, _TURNED))
 
 

