@@ -8,13 +8,12 @@ import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from tempfile import gettempdir
 
 # As many workers as cores, and matrices are small: before numpy is there, and for the processes tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Processes that tests start compile the package once, as a user's do, whatever the environment says.
+# Workers and the processes that tests start compile the package once, as a user's do, whatever the
+# environment says. What is installed is compiled already, beside its sources.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-os.environ.setdefault("PYTHONPYCACHEPREFIX", str(Path(gettempdir()) / f"cmbot_tests_{os.getuid()}"))
 
 import numpy as np
 import pytest
