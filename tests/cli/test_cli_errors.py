@@ -378,23 +378,20 @@ def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPa
 
 
 def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) -> None:
-    for knots in ("sliding", "fixed"):
-        hasty = copy.deepcopy(SHORT)
-        hasty["tool_path"]["legs"][0]["seconds"] = 0.9
-        hasty["planner"] |= {"knots": knots, "start": "pinned"}
-        write_scene(folder / "hasty.yaml", hasty)
-        line = refusal("plan", "hasty.yaml", "--quiet", status=3)
-        assert line.startswith("error: hasty.yaml: ")
-        worst = (
-            r"(velocity|acceleration|jerk) of joint_\d at t = (\d\.\d+) s, (\d+\.\d\d%|far) beyond its bound"
-        )
-        assert (found := re.search(worst, line))
-        assert 0.0 <= float(found[2]) <= 0.9
-        assert "may" not in line
-        # So slow a leg was planned.
-        assert re.search(
-            r"; seconds: auto on .*, with .*shortest, ramp: 0\.\d+}, would do, and takes \d\.\d+ s$", line
-        )
+    hasty = copy.deepcopy(SHORT)
+    hasty["tool_path"]["legs"][0]["seconds"] = 0.9
+    hasty["planner"] |= {"start": "pinned"}
+    write_scene(folder / "hasty.yaml", hasty)
+    line = refusal("plan", "hasty.yaml", "--quiet", status=3)
+    assert line.startswith("error: hasty.yaml: ")
+    worst = r"(velocity|acceleration|jerk) of joint_\d at t = (\d\.\d+) s, (\d+\.\d\d%|far) beyond its bound"
+    assert (found := re.search(worst, line))
+    assert 0.0 <= float(found[2]) <= 0.9
+    assert "may" not in line
+    # So slow a leg was planned.
+    assert re.search(
+        r"; seconds: auto on .*, with .*shortest, ramp: 0\.\d+}, would do, and takes \d\.\d+ s$", line
+    )
 
 
 def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
