@@ -2,17 +2,14 @@
 
 import atexit
 import fcntl
-import io
 import os
 import pickle
 import shutil
+from functools import cache
 from hashlib import sha256
 from json import dumps
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
-
-import cloudpickle
 
 from cmbot.planning import Plan, WrenchFunction, plan
 from cmbot.scene import PlannerOptions, Scene
@@ -29,15 +26,6 @@ def _removed(folder: str) -> None:
 if _NAMED_BY not in os.environ:
     os.environ[_NAMED_BY] = mkdtemp(prefix="cmbot_plans_")
     atexit.register(_removed, os.environ[_NAMED_BY])
-
-
-class _Pickler(cloudpickle.Pickler):
-    """Also of errors, whose fields are named: Python would make them of their message alone."""
-
-    def reducer_override(self, made: Any) -> Any:
-        if isinstance(made, Exception):
-            return type(made).__new__, (type(made), *made.args), vars(made)
-        return super().reducer_override(made)
 
 
 def planned(
@@ -58,25 +46,13 @@ def planned(
     file = Path(os.environ[_NAMED_BY]) / sha256(asked.encode()).hexdigest()
     with file.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if file not in _KNOWN:
-            _KNOWN[file] = _read(file) if file.exists() else _written(file, plan(scene, options=options))
-    return _KNOWN[file]
+        if not file.exists():
+            file.write_bytes(pickle.dumps(plan(scene, options=options, progress=False)))
+    return _read(file)
 
 
-_KNOWN = dict[Path, Plan]()
-
-
+@cache
 def _read(file: Path) -> Plan:
+    """All have a copy, he who made it, too: what tests find does not depend on who that was."""
     made: Plan = pickle.loads(file.read_bytes())
     return made
-
-
-def _written(file: Path, made: Plan) -> Plan:
-    """Write a plan, and return it as others read it: what tests find does not depend on who made it."""
-    text = io.BytesIO()
-    try:
-        _Pickler(text).dump(made)
-    except RuntimeError:  # convex meshes of coal are not written: each worker has its own plan
-        return made
-    file.write_bytes(text.getvalue())
-    return _read(file)
