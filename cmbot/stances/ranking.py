@@ -505,7 +505,8 @@ def require_planned(rankings: Sequence[StanceRanking]) -> None:
             # Long messages are shortened from their end.
             told = f"{why}{late}" if first else f"{late}{why}"
             error = PlanningError(f"no stance of {len(ranking.ranked)} was planned{strokes}{told}")
-            for remedy in ranking.remedies:
+            # What would do is known where the time was not what is missing; and it takes the place of that.
+            for remedy in ranking.remedies if first else ():
                 error.add_hint(remedy)
             raise error
 
