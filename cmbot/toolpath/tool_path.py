@@ -184,6 +184,11 @@ class ToolPath(ShortRepr):
         return velocity
 
     @cached_property
+    def bends_unevenly(self) -> bool:
+        """Whether via-points follow the bends of some leg: `via_times`."""
+        return any(segment.curve.bend_share(np.ones(1)).any() for segment in self.segments)
+
+    @cached_property
     def breaks(self) -> FloatArray:
         """Times (B,), s, between which the timed pose is analytic: ends of legs, of ramps and of curves."""
         times = list[FloatArray]()

@@ -20,8 +20,6 @@ from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 # How far bounds may lie beyond what was found: of torques, as a share of the bound or of the largest value;
 # of the tool, m and rad, or m/s.
 _TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8
-# How far tangents of a piece may be from that in its middle: by that share of the lag it is off the path.
-_BEND = 0.2
 # Pieces of a trajectory at most, a segment, before the remainder of interpolation stays what it is.
 _MAX_PIECES_PER_SEGMENT = 64
 
@@ -81,7 +79,6 @@ class EnclosedMotion:
                 pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
                 pieces.remainder(of.tool_rotation) / _TOOL_RESOLUTION,
                 pieces.remainder(of.tool_velocity) / speed,
-                self._task.path.bend(pieces.start, pieces.end) / _BEND,
                 *(
                     pieces.remainder(of.joint_torque[..., j]) / (_TORQUE_RESOLUTION * torque[j])
                     for j in range(self._robot.dof)

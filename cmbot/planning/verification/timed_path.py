@@ -220,7 +220,7 @@ class DescribedPath:
         Each section has a segment; every further one goes to that whose segments are then longest (D'Hondt).
         Those along splines, whose steps follow their bends, are the package's.
         """
-        if any(segment.curve.bend_share(np.ones(1)).any() for segment in self._path.segments):
+        if self._path.bends_unevenly:
             return self._path.via_times(self._number)
         plain = self._legs is not None and self.is_plain
         ends = self._legs.ends if self._legs is not None and plain else self._path.section_times
