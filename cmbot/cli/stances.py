@@ -21,7 +21,6 @@ from cmbot.cli.console import (
     scenes_named,
 )
 from cmbot.common.errors import PlanningError, one_line
-from cmbot.common.workers import processors
 
 if TYPE_CHECKING:
     from cmbot.stances import StanceRanking
@@ -82,7 +81,7 @@ class StandCommand(Writing):
         directory = self.output or Path("out") / f"{name}_stances"
         record, spacing = cmbot.archive.STANCES_FILE, float("inf") if self.one_foot else self.pair_spacing
         bounds = self.made(cmbot.stances.Bounds, "max_")
-        jobs = self.jobs or processors()
+        jobs = _jobs(self.jobs)
         options = self.made(cmbot.stances.StandOptions, pair_spacing=spacing, bounds=bounds, jobs=jobs)
 
         def work(progress: ConsoleProgress) -> Sequence[StanceRanking]:
@@ -178,10 +177,7 @@ class TourCommand(Reporting):
         from cmbot.stances import StandOptions, walking
 
         ranking = StandOptions(
-            plans=self.plans,
-            pair_spacing=self.spacing,
-            members=self.members,
-            jobs=self.jobs or processors(),
+            plans=self.plans, pair_spacing=self.spacing, members=self.members, jobs=_jobs(self.jobs)
         )
         options = self.made(walking.WalkOptions)
 
@@ -202,6 +198,14 @@ class TourCommand(Reporting):
             self.scenes,
         )
         self.answer(lambda: walking.tour_data(found), say, directory)
+
+
+def _jobs(asked: int | None) -> int:
+    """How many processes judge stances."""
+    # Imported where needed: other commands have no use for what it loads.
+    from cmbot.common.workers import processors
+
+    return asked or processors()
 
 
 def _stopped(rankings: Sequence[StanceRanking]) -> bool:

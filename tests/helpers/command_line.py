@@ -47,7 +47,7 @@ def run(*words: str | Path) -> Outcome:
         for name in _TERMINAL:
             patch.delenv(name, raising=False)
         # Tests have a processor each, and other processes not what is set for tests.
-        patch.setattr("cmbot.cli.stances.processors", lambda: 1)
+        patch.setattr("cmbot.common.workers.processors", lambda: 1)
         with pytest.raises(SystemExit) as ended:
             main()
     outcome = Outcome(status=int(ended.value.code or 0), out=out.getvalue(), err=err.getvalue())
