@@ -91,14 +91,12 @@ class PlanCommand(Writing):
 
         def say() -> None:
             _print_plan(planned, verbose=self.verbose)
-            seconds = time.perf_counter() - started
-            out.print(
-                f"Written to {one_line(directory)}, in all {seconds:.1f} s with reading, checks and pages."
-            )
             if drawn:
                 out.print(f"Figures: {', '.join(drawn)}.")
+            folder, page = one_line(directory), one_line(directory / cmbot.views.REPORT)
             more = "" if self.verbose else "; --verbose prints the rest"
-            out.print(f"Look at it: open {one_line(directory / cmbot.views.REPORT)} in a browser{more}.")
+            seconds = time.perf_counter() - started
+            out.print(f"Written to {folder} in {seconds:.1f} s: open {page} in a browser{more}.")
 
         planned = self.work_in(directory, require, planned_scene, write, [self.scene])
         self.answer(lambda: _summary(planned, directory), say, directory)

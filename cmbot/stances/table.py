@@ -71,10 +71,10 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
         more = 1 - least / peak if peak > 0 else 0.0
         # Charts are by the sag then.
         stage = "postures" if ranking.objective == "sway" else first.stage
-        by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
+        may = f"another one may be up to {100 * more:.1f} % better" if more > 0 else "none is better"
         yield (
-            f"No stance that was not planned has a bound below {least:.4g} {unit} (estimate, judged by its "
-            f"{stage}): none may be better {by}."
+            f"The least bound of a stance that was not planned is {least:.4g} {unit} (judged by its {stage}): "
+            f"by that estimate {may}."
         )
     if ranking.proven > ranking.count("out of reach"):
         others = len(ranked) - ranking.count("planned")

@@ -224,7 +224,12 @@ def floor_meaning(plan: Plan) -> str:
         return ""
     has = "has" if bound.kind == "proven" else "was found to have"
     meaning = f"at one via-point no posture within the limits {has} a smaller static torque ({bound.basis})"
-    return f"{meaning}; moving, the arm has less" if _undercuts(plan) else meaning
+    return f"{meaning}; {undercut(plan)} less" if _undercuts(plan) else meaning
+
+
+def undercut(plan: Plan) -> str:
+    """Return who has less than the torque floor, with the verb: the bent arm or the moving one."""
+    return "the moving arm has" if plan.compensation is None else "with the sag compensated the arm has"
 
 
 def torque_of(samples: Samples) -> FloatArray:

@@ -46,7 +46,7 @@ from cmbot.simulation import (
     tracking_verdict,
 )
 from cmbot.version import __version__, versions
-from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts
+from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_name, joint_charts, undercut
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
@@ -285,7 +285,7 @@ def _lower_bound_card(plan: Plan) -> Headline:
         return Headline(title="Above the lower bound", value="–", detail=why)
     title, value, name = "Above the lower bound", f"{100 * gap:+.3g} %", f"{floor_name(plan)} {bound:.1f} Nm"
     if gap < 0:
-        title, value, name = "Lower bound", "reached", f"{name}; moving, the arm has {-100 * gap:.2g} % less"
+        title, value, name = "Lower bound", "reached", f"{name}; {undercut(plan)} {-100 * gap:.2g} % less"
     elif gap > _LOOSE_GAP and (over := plan.gap_to_sequences) is not None:
         name += f"; {100 * over:+.1f} % above the least of sequences of postures (estimate)"
     return Headline(title=title, value=value, detail=f"{name}, explained at the torque's plot")

@@ -292,7 +292,7 @@ def test_quoted_output_is_the_commands(triangle_plan: Plan) -> None:
     for left, right in zip(quoted[len(table) :], printed, strict=False):
         # The words only: figures are compared in the table.
         assert number.sub("#", left) == number.sub("#", right)
-    assert [line.split()[0] for line in quoted[len(table) + len(printed) :]] == ["Written", "Look"]
+    assert [line.split()[0] for line in quoted[len(table) + len(printed) :]] == ["Written"]
 
 
 def test_table_of_tracking_is_the_simulations(triangle_plan: Plan) -> None:

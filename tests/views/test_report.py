@@ -223,7 +223,8 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     static = replace(triangle_plan.objective, floor=triangle_plan.objective.planned_peak + 1.0)
     _, _, _, floor, *_ = headlines(replace(triangle_plan, objective=static), None)
     assert "lower bound at rest" in floor.detail
-    assert explained(replace(triangle_plan, objective=static)).endswith("(proven); moving, the arm has less.")
+    less = "(proven); with the sag compensated the arm has less."
+    assert explained(replace(triangle_plan, objective=static)).endswith(less)
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     estimated = replace(triangle_plan, lower_bound=bound)
     _, _, _, floor, *_ = headlines(estimated, None)

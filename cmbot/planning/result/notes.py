@@ -90,7 +90,7 @@ def notes(plan: Plan) -> tuple[Note, ...]:
 
 
 def _first(plan: Plan) -> Iterator[Note]:
-    """Where the tool is, what holds, what the base bears, the tightest promise, what would help."""
+    """Where the tool is, what holds, what the base bears, what would help."""
     accuracy, tolerance = plan.accuracy, plan.scene.tool.tolerance
     if accuracy is not None:
         values = {
@@ -111,9 +111,6 @@ def _first(plan: Plan) -> Iterator[Note]:
     yield from _holds(plan)
     yield Note(level="first", key="base", values=_base(plan))
     yield from _free_moves(plan)
-    segment, check = tightest_check(plan.job)
-    promise = {**vars(check), "limit": str(check.limit), "when": during(segment, plan.job)}
-    yield Note(level="first", key="promise", values=promise)
     if accuracy is not None and accuracy.remedies:
         best = accuracy.remedies[0]
         yield Note(level="first", key="help", values={"remedy": best.name, "within_mm": best.within_mm})
@@ -336,6 +333,9 @@ def _bound(plan: Plan) -> Iterator[Note]:
 
 
 def _certified(plan: Plan) -> Iterator[Note]:
+    segment, check = tightest_check(plan.job)
+    promise = {**vars(check), "limit": str(check.limit), "when": during(segment, plan.job)}
+    yield Note(level="note", key="promise", values=promise)
     whole, seconds = plan.job.certificate, plan.seconds
     base = plan.scene.base_name
     values = {"checks": len(whole.checks), "text": whole.at_all_times(base)}

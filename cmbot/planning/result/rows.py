@@ -234,7 +234,7 @@ def _search(plan: Plan) -> Iterator[Row]:
         return
     yield _objective_row(plan, "lower bound of the peak at rest", "torque_floor", bound.value)
     if objective.gap is not None:
-        yield _row("peak above that", "gap_to_floor", "%", "+.3f", objective.gap)
+        yield _row("peak from that", "gap_to_floor", "%", "+.3f", objective.gap)
     pinned, least = plan.options.start == "pinned", plan.least_of_sequences
     if least is not None:
         yield _objective_row(plan, "least peak of sequences of postures (estimate)", "choice", least)

@@ -54,8 +54,8 @@ def first_remarks(plan: Plan) -> list[str]:
     each = notes(plan)
     first = {note.key: sentence(note) for note in each if note.level == "first"}
     missing = [sentence(note) for note in each if note.level == "fault"][:1]
-    if missing or len(first) > MOST_FIRST:
-        del first["promise"]
+    if len(first) + len(missing) > MOST_FIRST:
+        first.pop("free_moves", None)
     return [*first.values(), *missing][:MOST_FIRST]
 
 
@@ -125,6 +125,8 @@ def _tool(note: Any) -> str:
         )
         text += f", tolerance {' and '.join(asked)}: {'kept' if note.kept else 'not kept'} (within it in "
         text += f"{100 * note.share:.3g} % of cases, asked {100 * note.probability:.3g} %)"
+    else:
+        text += " (no tool.tolerance is asked for)"
     if note.part is None:
         return f"{text}."
     by = f", as assumed ({note.assumed})" if note.assumed else ""
