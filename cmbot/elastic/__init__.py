@@ -11,7 +11,11 @@ from cmbot.elastic.base import (
     shares as shares,
     with_legs as with_legs,
 )
-from cmbot.elastic.beam import beam_mass as beam_mass, beam_stiffness as beam_stiffness
+from cmbot.elastic.beam import (
+    beam_mass as beam_mass,
+    beam_stiffness as beam_stiffness,
+    yield_moments as yield_moments,
+)
 from cmbot.elastic.guardrail import (
     AngleSection as AngleSection,
     BarSection as BarSection,

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.guardrail import AngleSection, FlatSection, Section
+from cmbot.elastic.guardrail import AngleSection, BarSection, FlatSection, Section
 
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
@@ -99,6 +100,26 @@ def section_constants(section: Section) -> SectionConstants:
         tilt=0.0,
         outline=Outline(radius=section.diameter / 2),
     )
+
+
+@lru_cache
+def yield_moments(section: Section, stress: float) -> tuple[float, float]:
+    """Return the moments, Nm, at which a section's outer fibres yield, so much as `stress`, Pa, in tension.
+
+    About the member and about the axis of the larger second moment of area. By von Mises the shear stress is
+    the tensile one over the root of 3. Torsion of an open section is not judged, infinity: where warping is
+    held, it bears more than Saint-Venant's torsion says.
+
+    Parameters
+    ----------
+    section : Section
+    stress : float, Pa
+    """
+    constants, twist = section_constants(section), math.inf
+    if isinstance(section, BarSection):
+        twist = stress / math.sqrt(3) * constants.torsion / (section.diameter / 2)
+    reach = max(abs(z) for _, z in constants.outline.corners) + constants.outline.radius
+    return twist, stress * constants.major / reach
 
 
 def _angle(a: float, t: float) -> SectionConstants:

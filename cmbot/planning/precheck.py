@@ -238,10 +238,15 @@ def _hold_key(scene: Scene) -> str:
 
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
-    """Yield magnets with a pull that their usual kind, of two poles, has not on this steel."""
+    """Yield magnets and clamps with bounds that two poles on this steel, or the member, have not."""
     for number, foot in enumerate(robot.feet, start=1):
+        which = f" of foot {number}" * (len(robot.feet) > 1)
+        for name, asked, most in zip(_LOADS[3:], foot.moment or (), foot.yields or (), strict=False):
+            if asked > most:
+                got = f"{asked:g} {name}{which}, where a member of steel S235 yields at {most:.0f} Nm"
+                weaker = "the bounds of the weaker of clamp and member; of better steel they are more"
+                yield _warning(f"{_hold_key(scene)}.moment_nm", got, weaker)
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
-            which = f" of foot {number}" * (len(robot.feet) > 1)
             most = f"{foot.ceiling:.0f} N at most"
             got = f"{foot.adhesion:.0f} N{which}, where a magnet of two poles pulls {most}"
             expected = "what the magnet was measured to pull on this steel; it is taken as given"

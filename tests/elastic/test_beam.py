@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from oracles.beams import angle_outline, polygon
 
 from cmbot.elastic import AngleSection, BarSection, FlatSection
-from cmbot.elastic.beam import section_constants
+from cmbot.elastic.beam import section_constants, yield_moments
 
 legs = st.floats(0.01, 0.5)
 shares = st.floats(0.001, 0.999)
@@ -89,3 +89,21 @@ def test_bar(diameter: float) -> None:
     assert constants.area == pytest.approx(math.pi * radius**2)
     assert constants.major == constants.minor == pytest.approx(math.pi * radius**4 / 4)
     assert constants.torsion == pytest.approx(math.pi * radius**4 / 2)
+
+
+def test_moments_at_yield_are_sums_of_stress_over_a_fine_grid() -> None:
+    """Stress in proportion to the distance from the axis, with the yield stress at the outer fibre."""
+    stress, n = 235e6, 2000
+    d = 0.02
+    y, z = np.meshgrid(*[(np.arange(n) + 0.5) / n * d - d / 2] * 2)
+    r, cell = np.hypot(y, z), (d / n) ** 2
+    inside = r < d / 2
+    bending = cell * (stress * z**2 / (d / 2))[inside].sum()
+    torsion = cell * (stress / math.sqrt(3) * r**2 / (d / 2))[inside].sum()
+    assert yield_moments(BarSection(diameter=d), stress) == pytest.approx((torsion, bending), rel=1e-3)
+    # Of an angle about its axis of symmetry: the outer fibres are the ends of the legs.
+    leg, t = 0.075, 0.008
+    y, z = np.meshgrid(*[(np.arange(n) + 0.5) / n * leg] * 2)
+    steel, away = (y < t) | (z < t), (y - z) / math.sqrt(2)
+    bending = (leg / n) ** 2 * (stress * away**2 / (leg / math.sqrt(2)))[steel].sum()
+    assert yield_moments(AngleSection(leg=leg, thickness=t), stress)[1] == pytest.approx(bending, rel=2e-3)

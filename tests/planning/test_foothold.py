@@ -299,6 +299,24 @@ def test_of_a_clamp_that_is_too_weak_foot_and_load_are_named() -> None:
         plan(weak)
 
 
+def test_a_clamp_that_bears_more_than_a_thin_bar_is_told() -> None:
+    """A round bar of 20 mm: pi d^3 / 32 times 235 MPa in bending, on either side."""
+    bar = {"name": "top_rail", "section": {"bar": 0.02}, "height_m": 0, "box_m": [0.04, 0.04]}
+    clamp = {"kind": "clamp", "force_n": [4e3] * 3, "moment_nm": [500.0, 1200.0, 300.0]}
+    rails = {
+        "rails": [bar],
+        "hold": clamp,
+        "stance": {"foot_1": {"member": "top_rail", "along_m": 3.5, "turn_deg": 180}},
+    }
+    warnings = precheck_scene(short_scene(guardrail=rails)).warnings
+    twisted, bent = (each for each in warnings if each.key == "guardrail.hold.moment_nm")
+    most = 2 * np.pi * 0.02**3 / 32 * 235e6
+    assert bent.got == f"1200 Nm about the width, where a member of steel S235 yields at {most:.0f} Nm"
+    # Torsion: twice that over the root of 3.
+    most *= 2 / np.sqrt(3)
+    assert twisted.got == f"500 Nm about the length, where a member of steel S235 yields at {most:.0f} Nm"
+
+
 @pytest.mark.parametrize(("name", "use"), [("triangle", 0.69), ("line", 0.86)])
 def test_a_clamp_holds_the_shipped_jobs(name: str, use: float, tmp_path: Path) -> None:
     """As docs/assumptions.md says: no magnet does, and a clamp of 4 kN and 1,200 Nm with a safety of 2."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, Literal, cast
@@ -16,7 +16,7 @@ from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.poses import pose
 from cmbot.common.reading.fields import Angle, Angles, Coordinate, Length, OneOf, Text, Vector
 from cmbot.common.reading.validation import FileModel, refusal, shown
-from cmbot.elastic import AngleSection, BarSection, FlatSection, Guardrail
+from cmbot.elastic import AngleSection, BarSection, FlatSection, Guardrail, Section, yield_moments
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
 
 Load = Annotated[float, Field(ge=1e-3, le=1e9)]
@@ -30,6 +30,8 @@ FACES = {
 _FOOT_MEMBER_DISTANCE_M = 1e-3
 # A side of a section is flat where corners are less than this below its highest one, m.
 _FLATNESS_M = 1e-6
+# Yield stress of S235, Pa: members are of plain structural steel.
+_YIELD_STRESS = 235e6
 _Millimetres = Annotated[float, Field(ge=0, le=1e4)]
 Derated = Annotated[tuple[_Millimetres, Annotated[float, Field(gt=0, le=1)]], Field(strict=False)]
 
@@ -184,6 +186,8 @@ class Face:
         Of the steel below; None without a flat face.
     ends : two floats, m
         Along the member, as its coordinate in W.
+    section : Section
+        Of the member.
     """
 
     axes: FloatArray
@@ -191,6 +195,7 @@ class Face:
     steel: tuple[tuple[float, float], ...]
     thickness: float | None
     ends: tuple[float, float]
+    section: Section
 
     @property
     def edge(self) -> bool:
@@ -224,13 +229,15 @@ def face_of(guardrail: Guardrail, member: str, face: str) -> Face:
         along, ends = (1, 0, 0), (guardrail.post_positions[0], guardrail.post_positions[-1])
     normal = FACES["post" if member in posts else "rail"][face]
     axes = _axes(along, normal)
+    steel: tuple[tuple[float, float], ...] = ()
     if isinstance(section, BarSection):
-        return Face(axes=axes, depth=section.diameter / 2, steel=(), thickness=None, ends=ends)
-    # A section lies in the plane of x and y of a post, of y and z of a rail.
-    plane = np.array([[1, 0, 0], [0, 1, 0]] if member in posts else [[0, 1, 0], [0, 0, 1]])
-    depth, steel = _flat_side(section, roll, tuple(plane @ axes[1]), tuple(plane @ axes[2]))
-    thickness = section.thickness if steel else None
-    return Face(axes=axes, depth=depth, steel=steel, thickness=thickness, ends=ends)
+        depth, thickness = section.diameter / 2, None
+    else:
+        # A section lies in the plane of x and y of a post, of y and z of a rail.
+        plane = np.array([[1, 0, 0], [0, 1, 0]] if member in posts else [[0, 1, 0], [0, 0, 1]])
+        depth, steel = _flat_side(section, roll, tuple(plane @ axes[1]), tuple(plane @ axes[2]))
+        thickness = section.thickness if steel else None
+    return Face(axes=axes, depth=depth, steel=steel, thickness=thickness, ends=ends, section=section)
 
 
 def section_outline(section: AngleSection | FlatSection) -> shapely.Polygon:
@@ -281,7 +288,9 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, 
     low, high = (end - place for end in face.ends)
     strips = [shapely.box(low, first, high, last) for first, last in face.steel]
     region = shapely.intersection(hold.plate, shapely.union_all(strips))
-    return _foot(hold, region, face.axes, at - foot_point + face.depth * out, share, face.thickness)
+    foot = _foot(hold, region, face.axes, at - foot_point + face.depth * out, share, face.thickness)
+    twist, bend = (2 * moment for moment in yield_moments(face.section, _YIELD_STRESS))
+    return replace(foot, yields=(twist, bend, bend))
 
 
 def _foot(

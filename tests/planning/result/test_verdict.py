@@ -30,10 +30,10 @@ def test_the_tightest_promise_is_told_with_its_room(triangle_plan: Plan) -> None
         "approach": ("on the approach", np.rad2deg(1.0), "deg/s"),
         "work": ("at work", 1e3, "mm"),
     }[segment.name]
-    assert (
-        f"Tightest promise: {check.quantity} {where}, at {check.time:.1f} s, "
-        f"{100 * bound_use(check):.0f} % of its bound ({factor * (check.bound - check.value):.3g} {unit} left)."
-    ) in list(remarks(triangle_plan))
+    room = f"{factor * (check.bound - check.value):.3g} {unit} left"
+    use = f"{100 * bound_use(check):.0f} % of its bound ({room})"
+    said = f"Tightest promise: {check.quantity} {where}, at {check.time:.1f} s, {use}."
+    assert said in list(remarks(triangle_plan))
 
 
 def test_a_joint_at_the_end_of_its_range_is_said_to_be_there(triangle_plan: Plan) -> None:
