@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from math import isfinite
+from time import monotonic
 from types import FrameType
 from typing import Any, Self, TextIO
 
@@ -144,11 +145,17 @@ def print_table(
     out.print(aligned(lines, text_columns, least=0))
 
 
+# Seconds between lines of progress where no bar can be drawn.
+_LINE_SECONDS = 30.0
+
+
 class ConsoleProgress(ProgressDisplay):
-    """Progress on standard error, where that is a terminal; with each report, signals are checked."""
+    """Progress on standard error: a bar on a terminal, elsewhere a line now and then; signals are checked."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         super().__init__(err, quiet=quiet)
+        self._begun = self._told = monotonic()
+        self._in_lines = not (quiet or err.is_terminal)
 
     def __enter__(self) -> Self:
         err.erase_sign()
@@ -162,6 +169,10 @@ class ConsoleProgress(ProgressDisplay):
     def _show(self, description: str, share: float | None) -> None:
         check_signals()
         super()._show(description, share)
+        if self._in_lines and (now := monotonic()) >= self._told + _LINE_SECONDS:
+            self._told = now
+            done = "" if share is None else f" ({100 * share:.0f} %)"
+            err.print(one_line(f"{now - self._begun:.0f} s: {description}{done}"))
 
 
 _raised: list[BaseException] = []

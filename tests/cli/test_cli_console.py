@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar with the remaining time on a terminal, and nothing elsewhere."""
+"""Progress on standard error: a bar on a terminal, with the time that is left; elsewhere a line now and then."""
 
 import re
 from collections.abc import Iterator
@@ -94,7 +94,13 @@ def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(width: int) -> Non
         assert len(line) <= width
 
 
-def test_elsewhere_and_with_quiet_it_is_nothing() -> None:
+def test_elsewhere_a_line_is_written_every_half_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 29.9, 30.0, 40.0, 75.0, 80.0, 95.0])
+    monkeypatch.setattr(cmbot.cli.console, "monotonic", lambda: next(clock))
+    assert told(terminal=False) == "30 s: simulating 0 (0 %)\n75 s: simulating 2 (50 %)\n"
+
+
+def test_elsewhere_at_first_and_with_quiet_it_is_nothing() -> None:
     assert told(terminal=False) == told(terminal=True, quiet=True) == told(terminal=False, quiet=True) == ""
 
 
