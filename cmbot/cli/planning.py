@@ -156,6 +156,12 @@ def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot
     return loaded, validated(cmbot.PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
 
 
+def changed_scene(scene: str, changes: Sequence[str]) -> cmbot.Scene:
+    """Return a scene with what ``--set`` changes of it and of its planner's options."""
+    loaded, options = loaded_scene(scene, changes)
+    return loaded.with_options(options) if changes else loaded
+
+
 def _given(scene: str, changes: Sequence[str]) -> dict[str, object]:
     """What ``--set`` changes: planner's options by their names, other values by keys of the scene file."""
     from cmbot.common.reading.validation import hint, shown

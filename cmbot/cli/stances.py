@@ -20,6 +20,7 @@ from cmbot.cli.console import (
     print_table,
     scenes_named,
 )
+from cmbot.cli.planning import changed_scene
 from cmbot.common.errors import PlanningError, one_line
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
 _SCENES_HELP = "Scene files, or names of shipped scenes, of jobs on one bridge."
+_CHANGES_HELP = "As of cmbot plan, in every scene; repeatable."
 _JOBS_HELP = "Processes that judge stances; left out, one for each processor, up to 4."
 _MEMBERS_HELP = "A post or rail that feet hold at work; may be repeated; else all."
 
@@ -71,12 +73,13 @@ class StandCommand(Writing):
     max_seconds: float | None = option(None, "Duration of the job.", least=0.0)
     proofs: int = option(1000, "How many bounds of other mounts to prove.", least=0)
     members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
+    changes: tuple[str, ...] = option((), _CHANGES_HELP, "--set", metavar="NAME=VALUE")
     time_limit: float | None = option(None, "Seconds after which the best so far is kept.", least=0.0)
     jobs: int | None = option(None, _JOBS_HELP, least=1)
 
     def __call__(self) -> int:
         started = time.perf_counter()
-        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        loaded = [changed_scene(scene, self.changes) for scene in self.scenes]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_stances"
         record, spacing = cmbot.archive.STANCES_FILE, float("inf") if self.one_foot else self.pair_spacing
@@ -167,11 +170,12 @@ class TourCommand(Reporting):
     spacing: float = option(0.15, "Metres between places of the feet.", least=0.05)
     speed: float = option(0.03, "Metres a second of a foot at most.", least=1e-3, most=1.0)
     members: tuple[str, ...] = option((), _MEMBERS_HELP, "--on", metavar="MEMBER")
+    changes: tuple[str, ...] = option((), _CHANGES_HELP, "--set", metavar="NAME=VALUE")
     jobs: int | None = option(None, _JOBS_HELP, least=1)
 
     def __call__(self) -> None:
         started = time.perf_counter()
-        loaded = [cmbot.load_scene(scene) for scene in self.scenes]
+        loaded = [changed_scene(scene, self.changes) for scene in self.scenes]
         name = "_".join(each.name for each in loaded)
         directory = self.output or Path("out") / f"{name}_tour"
         from cmbot.stances import StandOptions, walking

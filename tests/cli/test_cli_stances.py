@@ -76,6 +76,17 @@ def test_every_row_that_is_printed_and_may_be_stowed_is_a_scene(job: Path) -> No
             assert scene.return_to == "stow"
 
 
+def test_scenes_are_changed_as_for_a_plan(stood: tuple[Path, Outcome]) -> None:
+    folder, words = stood[0], ("--one-foot", "--spacing", "1.5", "--plans", "0")
+    changes = ("--set", "objective=hold", "--set", "robot.payload_kg=1.5")
+    assert run("stand", folder / "short.yaml", *words, *changes, "-o", folder / "changed").status == 0
+    best = cmbot.load_scene(folder / "changed" / "best.yaml")
+    assert (best.planner.objective, best.robot.payload_kg) == ("hold", 1.5)
+    wrong = run("stand", folder / "short.yaml", "--set", "robot.payload=1", "-o", folder / "wrong")
+    assert (wrong.status, (folder / "wrong").exists()) == (2, False)
+    assert "--set: robot.payload: got" in wrong.err and "payload_kg" in wrong.err
+
+
 def test_it_replaces_nothing_unasked(stood: tuple[Path, Outcome]) -> None:
     folder, _ = stood
     again = run("stand", folder / "short.yaml", "-o", folder / "out")
