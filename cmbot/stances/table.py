@@ -73,8 +73,8 @@ def _best_in_words(ranking: StanceRanking, best: StanceResult) -> Iterator[str]:
         stage = "postures" if ranking.objective == "sway" else first.stage
         may = f"another one may be up to {100 * more:.1f} % better" if more > 0 else "none is better"
         yield (
-            f"The least bound of a stance that was not planned is {least:.4g} {unit} (judged by its {stage}): "
-            f"by that estimate {may}."
+            f"The least bound of a stance that was not planned is {least:.4g} {unit} "
+            f"(judged by its {stage}): by that estimate {may}."
         )
     if ranking.proven > ranking.count("out of reach"):
         others = len(ranked) - ranking.count("planned")

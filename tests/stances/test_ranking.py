@@ -253,7 +253,7 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: Stanc
     assert loaded.stance == best.scene.stance
     said = list(in_words(ranking))
     assert said[0].startswith(f"Best of those planned: {ranking.best.place}, ")
-    assert sum("may be better" in line for line in said) == 1
+    assert sum("by that estimate" in line for line in said) == 1
     (own,) = ranking.own
     assert own.plan.objective.planned_peak == pytest.approx(usual.objective.planned_peak, rel=1e-6)
     np.testing.assert_allclose(own.plan.robot.foot_point, usual.robot.foot_point, atol=1e-12)
