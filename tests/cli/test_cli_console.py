@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar on a terminal, with the time that is left; elsewhere a line now and then."""
+"""Progress on standard error: a bar on a terminal, elsewhere a line now and then."""
 
 import re
 from collections.abc import Iterator
