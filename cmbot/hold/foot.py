@@ -38,9 +38,7 @@ class Foot(ShortRepr):
     steel : float or None, m
         Thickness of the steel under the contact, where that is known.
     force, moment : three floats or None, N and Nm
-        What a clamp bears along and across the member and out of the steel; None: not given.
-    yields : three floats or None, Nm
-        Moments about these axes at which the member yields, half of each on either side; None: not known.
+        What clamp and member bear along and across the member and out of the steel; None: not given.
     share : (6, 6)
         Takes the wrench of the whole robot to that on this foot, both about O0 in W.
     """
@@ -56,7 +54,6 @@ class Foot(ShortRepr):
     steel: float | None = None
     force: tuple[float, float, float] | None = None
     moment: tuple[float, float, float] | None = None
-    yields: tuple[float, float, float] | None = None
     share: FloatArray
 
     @property

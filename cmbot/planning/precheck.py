@@ -101,7 +101,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot)]
     start += [*_clearance_at_start(scene, robot), *_statics_at_start(scene, robot, task)]
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
-    warnings = [*_warnings(start), *_out_of_reach(strokes, robot), *_too_strong(scene, robot)]
+    warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
     warnings += [*without_posture(scene), *_blocked_feet(scene)]
     for stroke in strokes:
         warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke), *_too_short(stroke, robot)]
@@ -239,13 +239,15 @@ def _hold_key(scene: Scene) -> str:
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
     """Yield magnets and clamps with bounds that two poles on this steel, or the member, have not."""
+    holds = scene.guardrail.hold if scene.on_guardrail else None
     for number, foot in enumerate(robot.feet, start=1):
         which = f" of foot {number}" * (len(robot.feet) > 1)
-        for name, asked, most in zip(_LOADS[3:], foot.moment or (), foot.yields or (), strict=False):
-            if asked > most:
-                got = f"{asked:g} {name}{which}, where a member of steel S235 yields at {most:.0f} Nm"
-                weaker = "the bounds of the weaker of clamp and member; of better steel they are more"
-                yield _warning(f"{_hold_key(scene)}.moment_nm", got, weaker)
+        hold = holds[min(number, len(holds)) - 1] if holds else None
+        asked = () if hold is None else hold.moment_nm or ()
+        for name, moment, bears in zip(_LOADS[3:], asked, foot.moment or (), strict=False):
+            if moment > bears:
+                expected = f"at most {bears:.0f}, at which the member yields, of S235; so much is taken"
+                yield _warning(f"{_hold_key(scene)}.moment_nm", f"{moment:g} {name}{which}", expected)
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
             most = f"{foot.ceiling:.0f} N at most"
             got = f"{foot.adhesion:.0f} N{which}, where a magnet of two poles pulls {most}"
@@ -456,6 +458,8 @@ def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
             where = ", ".join(f"{x:.3f}" for x in tip[k])
             got = f"{1e3 * length:.0f} mm of the tip in {obstacle.name}, the tool point at ({where}) m"
             expected = f"at most {1e3 * _MOST_PRESSED_M:g} mm, by which a tool is pressed"
+            if stroke.file.raster is not None:
+                expected += "; on a raster it points against u x v, which -v turns round"
             key = stroke.leg_key(path.leg_to(float(times[k])))
             yield Finding(severity="error", key=key, got=got, expected=expected)
 

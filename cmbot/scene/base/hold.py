@@ -88,7 +88,7 @@ class HoldFile(FileModel):
     force_n: tuple[Load, Load, Load] | None = None
     """Of a clamp: the forces that it bears along the member, across it and out of the steel, N."""
     moment_nm: tuple[Load, Load, Load] | None = None
-    """Of a clamp: the moments that it bears about these axes, Nm."""
+    """Of a clamp: the moments that it bears about these axes, Nm; a member that yields before bears less."""
 
     def _check(self) -> None:
         curves = ("derating", "air_gap_derating")
@@ -272,6 +272,8 @@ def _axes(along: tuple[int, int, int], normal: tuple[int, int, int]) -> FloatArr
 def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, share: FloatArray) -> Foot:
     """Return the foot whose plate is centred on a face; its contact is the steel that lies under the plate.
 
+    A clamp bears no more than the moments at which the member yields.
+
     Parameters
     ----------
     face : Face
@@ -289,8 +291,12 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, 
     strips = [shapely.box(low, first, high, last) for first, last in face.steel]
     region = shapely.intersection(hold.plate, shapely.union_all(strips))
     foot = _foot(hold, region, face.axes, at - foot_point + face.depth * out, share, face.thickness)
+    if foot.moment is None:
+        return foot
+    # A moment divides among the member's two sides.
     twist, bend = (2 * moment for moment in yield_moments(face.section, _YIELD_STRESS))
-    return replace(foot, yields=(twist, bend, bend))
+    about_along, about_across, about_out = foot.moment
+    return replace(foot, moment=(min(about_along, twist), min(about_across, bend), min(about_out, bend)))
 
 
 def _foot(

@@ -200,7 +200,7 @@ class Raster(CheckedFields, ShortRepr):
             if abs(float(u @ v)) > _RIGHT_ANGLE_COSINE * float(np.linalg.norm(u) * np.linalg.norm(v)):
                 raise InputError("Raster", "v", shown(self.v), "an edge at right angles to u")
             if self.spacing_m > self.sides[1] * (1 + _RIGHT_ANGLE_COSINE):
-                expected = f"at most the length of v, {self.sides[1]:g} m"
+                expected = f"at most the length of v, {self.sides[1]:g} m (all are metres)"
                 raise InputError("Raster", "spacing_m", self.spacing_m, expected)
         if self.rows > MOST_ROWS:
             raise InputError("Raster", "spacing_m", self.spacing_m, f"at most {MOST_ROWS} rows")
