@@ -28,6 +28,8 @@ _DOT_COLOURS = {
 }
 # Rows of the table, and those of them that are open.
 _ROWS, _OPEN = 60, 10
+# Sentences above the map; the others follow the tables.
+_FIRST = 3
 _MEANINGS = {
     "torque": "peak torque on the base at work",
     "hold": "adhesion needed over the job",
@@ -51,15 +53,22 @@ def stances_page(rankings: Sequence[StanceRanking], name: str | None = None) -> 
     name : str, optional
         What they are for; the name of the first one's scene if left out.
     """
-    several = len(rankings) > 1
+    several, said = len(rankings) > 1, list(shared_out(rankings))
     content = ""
     for number, ranking in enumerate(rankings, start=1):
+        sentences = list(in_words(ranking))
+        first, others = sentences[:_FIRST], sentences[_FIRST:]
         if several:
-            content += f"<h2>Stance {number}: {escape(', '.join(ranking.strokes))}</h2>"
-            content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(ranking))
-        content += _where(ranking) + _map(ranking) + _tables(ranking)
-    said = shared_out(rankings) if several else in_words(rankings[0])
+            content += f"<h2>Stance {number}: {escape(', '.join(ranking.strokes))}</h2>{_paragraphs(first)}"
+        else:
+            said = first
+        content += _where(ranking) + _tables(ranking) + _map(ranking)
+        content += f"<h2>Remarks</h2><section>{_paragraphs(others)}</section>" if others else ""
     return still_page(f"Where to stand: {name or rankings[0].scene.name}", said, content)
+
+
+def _paragraphs(sentences: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
 
 
 def _where(ranking: StanceRanking) -> str:
