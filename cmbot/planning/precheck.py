@@ -325,11 +325,9 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
     for name, covers in coverage_of(strokes).items():
         if isinstance(surface := surfaces[name], FaceSurface):
             left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
-            said, asked = f"{covers.area:.4g} m2, left out of them {left_out}", surface.raster
-            if asked.faces is None or asked.along is None:
-                along, _, out = ((np.round(axis, 3) + 0.0).tolist() for axis in surface.axes)
-                said += f"; found in W: normal {out}, rows along {along}"
-            yield f"faces of {Path(str(asked.mesh)).name}", said
+            said = f"{covers.area:.4g} m2, left out of them {left_out}"
+            said += f"; {surface.found}" if surface.found else ""
+            yield f"faces of {Path(str(surface.raster.mesh)).name}", said
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 

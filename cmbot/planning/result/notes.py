@@ -30,6 +30,7 @@ from cmbot.planning.workcell.units import mistaken_units
 from cmbot.planning.workcell.workcell import held_guardrail, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, start_entry
+from cmbot.toolpath import FaceSurface
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
 _MIN_GAIN_SHARE, _NEAR_BOUND = 1e-2, 1e-2
@@ -84,7 +85,7 @@ def notes(plan: Plan) -> tuple[Note, ...]:
     found = [*_first(plan), *_faults(plan), *_start(plan), *_told(plan), *_objective(plan)]
     if plan.baseline is not None:
         found += _compared(plan, plan.baseline)
-    found += [*_return(plan), *_bound(plan), *_certified(plan)]
+    found += [*_faces(plan), *_return(plan), *_bound(plan), *_certified(plan)]
     levels = ("first", "fault", "warning", "note")
     return tuple(sorted(found, key=lambda note: levels.index(note.level)))
 
@@ -240,6 +241,14 @@ def _told(plan: Plan) -> Iterator[Note]:
     yield from _slid(plan)
     for key, looks, units in mistaken_units(plan.scene):
         yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
+
+
+def _faces(plan: Plan) -> Iterator[Note]:
+    """What was chosen of the faces of meshes and of the rows over them."""
+    surfaces = {stroke.file.part_of or stroke.name: stroke.surface for stroke in plan.asked_strokes}
+    found = {name: each.found for name, each in surfaces.items() if isinstance(each, FaceSurface)}
+    if any(found.values()):
+        yield Note(level="note", key="faces", values={"found": found})
 
 
 def _slid(plan: Plan) -> Iterator[Note]:

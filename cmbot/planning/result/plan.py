@@ -42,7 +42,7 @@ from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import WORK, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
+from cmbot.scene import WORK, PlannerOptions, Scene, Stroke, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage
 from cmbot.trajectory import QuinticTrajectory, sample_step
 
@@ -406,12 +406,17 @@ class Plan(StrokePlan):
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
     @cached_property
+    def asked_strokes(self) -> tuple[Stroke, ...]:
+        """The strokes of the scene, of rasters those of their parts."""
+        return strokes_of(self.scene, self.robot)
+
+    @cached_property
     def coverage(self) -> dict[str, Coverage]:
         """What the strokes cover of the surface of each raster, by the raster's name.
 
         The tool is within its tolerances all along, or there would be no plan.
         """
-        return coverage_of(strokes_of(self.scene, self.robot))
+        return coverage_of(self.asked_strokes)
 
     @property
     def whole_coverage(self) -> Coverage:
@@ -423,7 +428,7 @@ class Plan(StrokePlan):
     def rows_left_out(self) -> tuple[FloatArray, ...]:
         """Where the tool would be along the pieces of rows that rasters leave out: points (k, 3), m, each."""
         lines = list[FloatArray]()
-        for file, piece in pieces_left_out(strokes_of(self.scene, self.robot)):
+        for file, piece in pieces_left_out(self.asked_strokes):
             if file.raster is not None and file.raster.frame != "tool":
                 rows = rows_alone(file, replace(file.raster, pieces=(piece,), overscan_m=0.0))
                 (stroke,) = self.scene.with_strokes((rows,)).timed_strokes(np.eye(4))

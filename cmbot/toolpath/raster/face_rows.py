@@ -59,6 +59,14 @@ class FaceSurface(Surface):
     region: Any
     refusal: _Refusal
 
+    @property
+    def found(self) -> str:
+        """What was chosen of their normal and the rows' direction, in words; empty where both are given."""
+        if self.raster.faces is not None and self.raster.along is not None:
+            return ""
+        along, _, out = ((np.round(axis, 3) + 0.0).tolist() for axis in self.axes)
+        return f"found in W: normal {out}, rows along {along}"
+
     @staticmethod
     def of(
         raster: Raster,

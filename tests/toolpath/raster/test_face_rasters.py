@@ -3,6 +3,7 @@
 import copy
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from timed_paths import check_path, vectors
 from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.planning import precheck_scene
+from cmbot.planning import Plan, precheck_scene, remarks
 from cmbot.scene import Scene, Stroke, coverage_of
 from cmbot.toolpath import Coverage
 
@@ -265,7 +266,7 @@ def test_a_mesh_file_in_the_frame_is_as_the_obstacle_there(tmp_path: Path) -> No
         load_scene(tmp_path / "scene.yaml")
 
 
-def test_normal_and_direction_are_those_of_the_sheet(tmp_path: Path) -> None:
+def test_normal_and_direction_are_those_of_the_sheet(tmp_path: Path, short_plan: Plan) -> None:
     turned = trimesh.transformations.euler_matrix(0.3, -0.2, 1.9)
     sheet = wavy_sheet().apply_transform(turned)
     lean = {"overscan_m": 0.0, "stand_off_m": 0.04}
@@ -277,6 +278,10 @@ def test_normal_and_direction_are_those_of_the_sheet(tmp_path: Path) -> None:
     assert np.abs(along @ turned[:3, 0]) == pytest.approx(1.0, abs=2e-3)
     assert out @ turned[:3, 2] == pytest.approx(1.0, abs=2e-3)
     assert "found in W: normal [" in dict(precheck_scene(scene).found)["faces of part"]
+    # A plan says it, too.
+    said = [*remarks(replace(short_plan, scene=scene))]
+    told = dict(precheck_scene(scene).found)["faces of part"].partition("; ")[2]
+    assert f"Faces of work, {told}." in said
     # They do for what was left out.
     faces = {"normal": out.tolist(), "within_deg": 80}
     other = raster_scene(tmp_path, sheet, faces=faces, along=along.tolist(), **lean)
