@@ -51,9 +51,9 @@ def figures(plan: cmbot.Plan, planning: float) -> Iterator[str]:
     yield f"{plan.job.duration:.1f} s, planned in {planning:.0f} s of processor time"
 
 
-def section(name: str, shown: str, sentences: Iterable[str]) -> str:
+def section(name: str, sentences: Iterable[str]) -> str:
     """Return the section of a job: its picture, and what it asks."""
-    return f"![{name}: {shown}](gallery/{name}.png)\n\n{textwrap.fill(' '.join(sentences), 118)}"
+    return f"![{name}](gallery/{name}.png)\n\n{textwrap.fill(' '.join(sentences), 118)}"
 
 
 def tour_sentences(tour: cmbot.Tour) -> list[str]:
@@ -99,7 +99,7 @@ def main() -> None:
                 continue
             (walk,) = tour.walks
             picture(walk_replay_page(walk), 0.4 * walk.seconds, PICTURES / f"{name}.png", browser)
-            write_between(PAGE, name, section(name, "on the way", tour_sentences(tour)))
+            write_between(PAGE, name, section(name, tour_sentences(tour)))
             continue
         begin = time.process_time()
         plan = cmbot.plan(scene)
@@ -108,7 +108,7 @@ def main() -> None:
             picture(replay_page(plan), time_shown(plan), PICTURES / f"{name}.png", browser)
         said = "; ".join(figures(plan, planning))
         said = f"{said[0].upper()}{said[1:]}."
-        write_between(PAGE, name, section(name, "the arm at work", [said]))
+        write_between(PAGE, name, section(name, [said]))
         print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB")
 
 
