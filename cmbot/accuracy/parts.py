@@ -104,7 +104,13 @@ def parts_of(
     poses = [kinematics.tool_jacobian(posture) for posture in q]
     tool = np.array([X_WT.translation for X_WT, _ in poses]) + bent.tool
     J = np.array([jacobian.reshape(6, -1)[:3] for _, jacobian in poses]) + bent.d_tool
-    yield Part.unbiased("placement of the base", _placed(uncertainty.foot, tool - np.array(robot.foot_point)))
+    seen, touched = np.tile(np.eye(3), (len(q), 1, 1)), tool
+    if (fixed := robot.fixed_tool) is not None:
+        # What moves the arm in W moves a fixed tool back, seen from the part.
+        seen = np.array([-X_ET.rotation @ fixed.rotation.T for X_ET, _ in poses])
+        touched = np.tile(fixed.translation, (len(q), 1))
+    placed = seen @ _placed(uncertainty.foot, touched - np.array(robot.foot_point))
+    yield Part.unbiased("placement of the base", placed)
     middle = 0.5 * (tool.min(axis=0) + tool.max(axis=0))
     yield Part.unbiased("placement of the workpiece", _placed(uncertainty.workpiece, tool - middle))
     yield from _joints(robot, q, J, uncertainty)
@@ -114,7 +120,7 @@ def parts_of(
         half = 0.5 * more
         yield Part(name="payload", bias=half, maps=_UNIFORM * half[:, :, None], is_uniform=True)
     if uncertainty.temperature_k and robot.elasticity:
-        maps = _bowed(robot, q, tool, uncertainty.temperature_k)
+        maps = seen @ _bowed(robot, q, touched, uncertainty.temperature_k)
         yield Part.unbiased("temperature", maps, is_uniform=True)
 
 

@@ -40,18 +40,24 @@ class PointDistances:
         moving = [k for k, (joint, _, _) in enumerate(self._shapes) if joint > 0]
         both = [(pair.first, pair.second) for pair in robot.collision_model.collisionPairs]
         self._pairs = [pair for pair in both if len({self._shapes[k][0] for k in pair}) > 1]
-        tool_joint = int(robot.model.frames[robot.tool_frame_id].parentJoint)
+        tool, fixed_tool = robot.model.frames[robot.tool_frame_id], robot.fixed_tool
         for obstacle in obstacles:
             for geometry in coal_shapes(obstacle.shape, obstacle.name):
                 number = len(self._shapes)
-                self._shapes.append((0, pin.SE3(np.array(obstacle.X_WO)), geometry))
+                X_WO = pin.SE3(np.array(obstacle.X_WO))
+                self._shapes.append((0, X_WO, geometry))
                 links.append(obstacle.name)
                 for k in moving:
-                    if obstacle.contact and self._shapes[k][0] == tool_joint:
-                        if (rest := without_tip(robot, own[k], obstacle.contact)) is not None:
-                            self._pairs.append((len(self._shapes), number))
-                            self._shapes.append((tool_joint, rest.placement, rest.geometry))
-                            links.append(links[k])
+                    if obstacle.contact and self._shapes[k][0] == tool.parentJoint:
+                        # Without its tip: what the arm carries, or a fixed tool.
+                        whole, X_JT, pair, name = own[k], tool.placement, (len(links), number), links[k]
+                        if fixed_tool is not None:
+                            whole = pin.GeometryObject("fixed tool", 0, X_WO, geometry)
+                            X_JT, pair, name = fixed_tool, (k, len(links)), obstacle.name
+                        if (rest := without_tip(whole, X_JT, obstacle.contact)) is not None:
+                            self._pairs.append(pair)
+                            self._shapes.append((int(rest.parentJoint), rest.placement, rest.geometry))
+                            links.append(name)
                     else:
                         self._pairs.append((k, number))
         self.names = [(links[first], links[second]) for first, second in self._pairs]

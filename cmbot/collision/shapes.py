@@ -108,27 +108,29 @@ class PairedShapes:
             if joints[first] != joints[second]:
                 names = ShapePair(link=links[first], other=links[second], self_collision=True)
                 self._add(first, second, names)
-        tool_joint = frames[robot.tool_frame_id].parentJoint
+        tool, fixed_tool = frames[robot.tool_frame_id], robot.fixed_tool
         behind = dict[tuple[int, float], int | None]()
         for obstacle in obstacles:
             X_WO = pin.SE3(np.array(obstacle.X_WO))
             for k, shape in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
-                name = f"obstacle {obstacle.name} {k}"
-                second = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, X_WO, shape))
-                joints.append(0)
+                whole = pin.GeometryObject(f"obstacle {obstacle.name} {k}", 0, X_WO, shape)
+                second = at_tip = self._added(whole)
+                if obstacle.contact and fixed_tool is not None:
+                    at_tip = self._added(without_tip(whole, fixed_tool, obstacle.contact))
                 for first, link in enumerate(links):
                     if joints[first] > 0:
-                        at_work = obstacle.workpiece and joints[first] == tool_joint
+                        at_work = obstacle.workpiece and joints[first] == tool.parentJoint
                         names = ShapePair(link=link, other=obstacle.name, tool_at_work=at_work)
-                        if at_work and obstacle.contact:
+                        if at_work and obstacle.contact and fixed_tool is None:
                             at = first, obstacle.contact
                             if at not in behind:
                                 # Of those in `geometry` the memory moves as shapes are added.
                                 whole = robot.collision_model.geometryObjects[first]
-                                behind[at] = self._added(without_tip(robot, whole, obstacle.contact))
+                                behind[at] = self._added(without_tip(whole, tool.placement, obstacle.contact))
                             first = behind[at]
-                        if first is not None:
-                            self._add(first, second, names)
+                        other = at_tip if at_work else second
+                        if first is not None and other is not None:
+                            self._add(first, other, names)
 
     def _added(self, shape: Any) -> int | None:
         """The index of one more shape; None where there is none."""
@@ -143,21 +145,21 @@ class PairedShapes:
         self.pairs.append(names)
 
 
-def without_tip(robot: Robot, shape: Any, length: float) -> Any | None:
+def without_tip(shape: Any, X_JT: Any, length: float) -> Any | None:
     """Return the hull of a tool's shape without its tip, a pinocchio.GeometryObject; None: nothing is left.
 
     Parameters
     ----------
-    robot : Robot
     shape : pinocchio.GeometryObject
-        That the robot's last joint carries.
+    X_JT : pinocchio.SE3
+        The tool in the frame of what carries the shape: the robot's last joint, or W.
     length : float, m
         The tip is what lies beyond the plane that is so far behind the tool point, across the tool's z axis.
     """
     hull = _mesh_about(shape.geometry)
     if hull is None:
         return shape
-    X_JS, X_JT = shape.placement, robot.model.frames[robot.tool_frame_id].placement
+    X_JS = shape.placement
     at = X_JS.actInv(X_JT.act(np.array([0.0, 0.0, -length])))
     left = hull.slice_plane(at, -X_JS.rotation.T @ X_JT.rotation[:, 2])
     if not encloses_volume(np.asarray(left.vertices)):

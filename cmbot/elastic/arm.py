@@ -99,8 +99,22 @@ class ElasticArm:
         """
         world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         J = pin.computeFrameJacobian(self.model, data, configuration, self.tool_frame_id, world)
+        X_WE = pin.updateFramePlacement(self.model, data, self.tool_frame_id)
         # pinocchio's Jacobian of a single joint is a vector.
-        return pin.updateFramePlacement(self.model, data, self.tool_frame_id), J.reshape(6, self.model.nv)
+        return self.robot.tool_seen(X_WE, J.reshape(6, self.model.nv))
+
+    def tool_points(self, q: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the bent arm's tool points (N, 3), m, as `Kinematics.tool_poses` has the rigid arm's.
+
+        At joint angles `q` (N, n) and elastic coordinates `u` (N, f).
+        """
+        model, data, fixed = self.model, self.model.createData(), self.robot.fixed_tool
+        points = np.empty((len(q), 3))
+        for k, configuration in enumerate(self.configuration(q, u)):
+            pin.forwardKinematics(model, data, configuration)
+            X_WE = pin.updateFramePlacement(model, data, self.tool_frame_id)
+            points[k] = X_WE.translation if fixed is None else X_WE.actInv(fixed.translation)
+        return points
 
 
 def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions | None = None) -> ElasticArm:

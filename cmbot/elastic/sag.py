@@ -36,8 +36,8 @@ class SagStates:
     """An arm at rest in N postures, compared with the rigid arm at the same joint angles."""
 
     u: FloatArray  # (N, f), m and rad: elastic coordinates
-    tool: FloatArray  # (N, 3), m: displacement of the tool point, in W
-    rotation: FloatArray  # (N, 3), rad: rotation vector of the tool, in W
+    tool: FloatArray  # (N, 3), m: displacement of the tool point, in W, of a fixed tool in the part's frame
+    rotation: FloatArray  # (N, 3), rad: rotation vector of the tool, likewise
     d_tool: FloatArray  # (N, 3, n), m/rad: derivative of `tool` with respect to the joint angles
 
 
@@ -129,7 +129,7 @@ class Sag:
         The same as `at` finds, quicker: all equilibria are sought with the stiffness of the first one's.
         """
         arm, model, data = self.arm, self.arm.model, self._data
-        tool, u = np.empty((len(q), 3)), np.zeros((len(q), len(arm.elastic)))
+        u = np.zeros((len(q), len(arm.elastic)))
         if u.size:
             tangent, _ = self._solve(q[:1], u[:1])
             chord = np.linalg.inv(0.5 * (tangent[0] + tangent[0].T))
@@ -148,10 +148,7 @@ class Sag:
             for number in left.tolist():
                 alone = slice(number, number + 1)
                 self._solve(q[alone], u[alone], first=number)
-        for k, configuration in enumerate(arm.configuration(q, u)):
-            pin.forwardKinematics(model, data, configuration)
-            tool[k] = pin.updateFramePlacement(model, data, arm.tool_frame_id).translation
-        return tool - Kinematics(arm.robot).tool_poses(q)[0]
+        return arm.tool_points(q, u) - Kinematics(arm.robot).tool_poses(q)[0]
 
     def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""

@@ -41,7 +41,8 @@ def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
         expected = f"a scene without, as measurements are of the model's stiffness ({more})"
         raise SceneError(scene.source, "identified", "an identified stiffness", expected)
     loaded = scene.with_joints("elastic").with_payload(scene.robot.payload_kg + load)
-    robot: Robot = robot_of(loaded).tool_off
+    # A gauge is in W, also where the tool is fixed.
+    robot: Robot = replace(robot_of(loaded).tool_off, fixed_tool=None)
     arm = elastic_arm(robot, elastic_base(held_guardrail(scene, robot)))
     if not len(arm.elastic):
         expected = "something that bends: guardrail.bays, base.tube, guardrail.stiffness or robot.elasticity"

@@ -17,7 +17,7 @@ the feature, and of planes ``nx,ny,nz``, of edges ``ex,ey,ez``, of cylinders the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -265,7 +265,7 @@ def frame_of(scene: Scene) -> tuple[str, FloatArray]:
 
 def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
     """Places (N, 3) of the tool point in W; in postures that of the bent arm."""
-    robot = robot_of(scene).tool_off
+    robot = replace(robot_of(scene).tool_off, fixed_tool=None)
     places, at, postures = np.empty((len(file.touches), 3)), list[int](), list[FloatArray]()
     for k, touch in enumerate(file.touches):
         if touch.place is not None:

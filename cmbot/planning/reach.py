@@ -29,7 +29,10 @@ def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
     """Yield the starts and the legs' ends that the stretched arm does not reach: keys, and distances, m.
 
     Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
+    None are yielded where the tool is fixed, whose distance says nothing.
     """
+    if robot.fixed_tool is not None:
+        return
     distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
     start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
     if stroke.file.start_pose is not None and start > robot.reach * (1 + _REACH_TOLERANCE):

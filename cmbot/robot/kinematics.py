@@ -96,8 +96,24 @@ def _frame_about(axis: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class HeldPart:
+    """The part that an arm holds to a fixed tool, in N postures, and that tool's point.
+
+    Attributes
+    ----------
+    rotation : (N, 3, 3)
+        From the part's frame to W.
+    tool_point : (3,), m
+        In W.
+    """
+
+    rotation: FloatArray
+    tool_point: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ToolBatch:
-    """The tool in N postures; everything in W.
+    """The tool in N postures; everything in W, but for a fixed tool and its Jacobian: in the part's frame.
 
     Attributes
     ----------
@@ -112,6 +128,8 @@ class ToolBatch:
         That acts on the tool, along its axes; zero with the tool off.
     foot_point : (3,), m
         O0.
+    part : HeldPart or None
+        Where the tool is fixed: `Robot.fixed_tool`.
     """
 
     q: FloatArray
@@ -122,19 +140,22 @@ class ToolBatch:
     prismatic: BoolArray
     tool_force: FloatArray
     foot_point: FloatArray
+    part: HeldPart | None = None
 
     def point_velocity(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity of the tool point (N, 3), m/s, at joint rates `v` (N, n), and its derivatives by position.
 
         These are (N, 3, n), m/s/rad or 1/s; those by the rates are the first rows of the Jacobian.
         """
-        moved, turned = (part * v for part in np.split(self.leading_jacobian.transpose(0, 2, 1), 2))
-        linear, angular = (part.transpose(0, 2, 1) for part in np.split(self.leading_jacobian, 2))
+        # From a part to a fixed tool the chain begins with the last joint.
+        J, step = self.leading_jacobian.transpose(0, 2, 1), 1 if self.part is None else -1
+        linear, angular = np.split(J[..., ::step], 2)
+        moved, turned = (each * v[:, ::step] for each in (linear, angular))
         # A joint turns what the joints from it on add, and is turned by the joints before it.
         beyond = np.cumsum(moved[..., ::-1], axis=2)[..., ::-1]
         before = np.cumsum(turned, axis=2) - turned
         d_q = np.cross(angular, beyond, axis=0) + np.cross(before, linear, axis=0)
-        return moved.sum(axis=2).T, np.asarray(d_q.transpose(1, 0, 2))
+        return moved.sum(axis=2).T, np.asarray(d_q.transpose(1, 0, 2)[..., ::step])
 
     @cached_property
     def push(self) -> FloatArray:
@@ -160,7 +181,8 @@ class ToolBatch:
     def leading_jacobian(self) -> FloatArray:
         """The same with components first, as it is computed: (6, n, N)."""
         a = self.axis.transpose(2, 1, 0)
-        arm = (self.tool_point.T - self.origin.transpose(1, 2, 0)).transpose(1, 0, 2)
+        point = self.tool_point.T if self.part is None else self.part.tool_point[:, None]
+        arm = (point - self.origin.transpose(1, 2, 0)).transpose(1, 0, 2)
         J = np.empty((6, *a.shape[1:]))
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             np.multiply(a[j], arm[k], out=J[i])
@@ -168,6 +190,10 @@ class ToolBatch:
         J[3:] = a
         if self.prismatic.any():
             J[:3, self.prismatic], J[3:, self.prismatic] = a[:, self.prismatic], 0.0
+        if self.part is not None:
+            # That of the part's point at the tool: see `Robot.tool_seen`.
+            halves = J.reshape(2, 3, *J.shape[1:])
+            J = -np.einsum("kij,piqk->pjqk", self.part.rotation, halves).reshape(J.shape)
         return J
 
 
@@ -254,8 +280,8 @@ class Postures:
         self._mass = np.array([body.mass for body in bodies])
         self._gravity = np.array(robot.model.gravity.linear)
         self._tool_force = np.array(robot.tool_force)
-        self._foot_point = np.array(robot.foot_point)
-        self.bend = 0.5 * max(robot.reach, _ROTATION_CURVATURE)
+        self._fixed_tool, self._foot_point = robot.fixed_tool, np.array(robot.foot_point)
+        self.bend = 0.5 * max(robot.reach, robot.levers.max(), _ROTATION_CURVATURE)
         self.metric = robot.metric
 
     @cached_property
@@ -271,7 +297,11 @@ class Postures:
         """What `tool_at`, `bend` and `metric` follow from: equal for equal arms, whatever they weigh."""
         chain, metric = self._tool_only, self.metric
         numbers = (self._tool, np.array([self.bend, metric.length]), metric.prismatic)
-        return (*(step.tobytes() for step, _ in chain.steps), *(each.tobytes() for each in numbers))
+        placed = () if self._fixed_tool is None else (self._fixed_tool.homogeneous,)
+        return (
+            *(step.tobytes() for step, _ in chain.steps),
+            *(each.tobytes() for each in (*numbers, *placed)),
+        )
 
     def at(self, q: FloatArray) -> PostureBatch:
         """Evaluate postures `q` (N, n)."""
@@ -295,10 +325,16 @@ class Postures:
                     np.add(p, turned[-1], out=centre[i, :, block])
             tool[..., block] = turned[:4]
             tool[3, :, block] += p
+        point, rotation, part = tool[3].T, tool[:3].transpose(2, 1, 0), None
+        if (fixed := self._fixed_tool) is not None:
+            part = HeldPart(rotation=rotation, tool_point=fixed.translation)
+            point = np.einsum("kji,kj->ki", rotation, fixed.translation - point)
+            rotation = rotation.transpose(0, 2, 1) @ fixed.rotation
         return {
             "q": q,
-            "tool_point": tool[3].T,
-            "tool_rotation": tool[:3].transpose(2, 1, 0),
+            "part": part,
+            "tool_point": point,
+            "tool_rotation": rotation,
             "axis": axis.transpose(2, 0, 1),
             "origin": origin.transpose(2, 0, 1),
             "prismatic": self.metric.prismatic,
@@ -309,6 +345,8 @@ class Postures:
 
 class Kinematics:
     """Forward kinematics and Jacobians of a robot's tool and centre of mass, in W.
+
+    Those of a fixed tool, `Robot.fixed_tool`, are in the frame of the part that the arm holds.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
 
@@ -328,8 +366,19 @@ class Kinematics:
 
     def tool_pose(self, q: FloatArray) -> Any:
         """Pose X_WT of the tool frame, a `pinocchio.SE3`, at posture `q` (n,)."""
+        X_WE, fixed = self._end_pose(q), self.robot.fixed_tool
+        return X_WE if fixed is None else X_WE.actInv(fixed)
+
+    def _end_pose(self, q: FloatArray) -> Any:
+        """Pose in W of the robot's tool frame, which has the part where the tool is fixed."""
         pin.forwardKinematics(self.robot.model, self._data, q)
         return pin.updateFramePlacement(self.robot.model, self._data, self._tool).copy()
+
+    def in_world(self, q: FloatArray, points: FloatArray) -> FloatArray:
+        """Return in W points (N, 3), m, of a part in postures `q` (N, n); the same without a fixed tool."""
+        if self.robot.fixed_tool is None:
+            return points
+        return np.array([self._end_pose(q_k).act(p) for q_k, p in zip(q, points, strict=True)])
 
     def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and orientations R_WT (N, 3, 3) at postures `q` (N, n)."""
@@ -348,7 +397,7 @@ class Kinematics:
         """
         model, data = self.robot.model, self._data
         J = pin.computeFrameJacobian(model, data, q, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return pin.updateFramePlacement(model, data, self._tool).copy(), J
+        return self.robot.tool_seen(pin.updateFramePlacement(model, data, self._tool).copy(), J)
 
     def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""

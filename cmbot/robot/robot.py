@@ -73,6 +73,9 @@ class Robot:
         every torque of this robot; see `tool_off`.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
+    fixed_tool : pinocchio.SE3 or None
+        Pose X_WT of a tool that stands in W, while the arm holds the part that it works on. Then tool point,
+        axis and Jacobian are this tool's, in the frame of the part, `tool_frame`: see `tool_seen`.
     foot_point : three floats, m
         O0 in W: where foot 1 holds. The wrench on the guardrail is about it.
     feet : tuple of Foot
@@ -109,6 +112,7 @@ class Robot:
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _ZERO_FORCE
+    fixed_tool: Any = None
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     locked_joints: tuple[HoldingJoint, ...] = ()
@@ -210,6 +214,17 @@ class Robot:
         """Index of the tool frame in `model`."""
         return int(self.model.getFrameId(self.tool_frame))
 
+    def tool_seen(self, X_WE: Any, J: FloatArray) -> tuple[Any, FloatArray]:
+        """Return pose and Jacobian (6, m) of the tool in W, or of a fixed tool in the part's frame.
+
+        `X_WE`, a `pinocchio.SE3`, and `J` (6, m) are those of `tool_frame` in W. Seen from a part that moves
+        by v and turns by w, a fixed tool at r from its origin moves by ``-(v + w x r)`` and turns by ``-w``.
+        """
+        if self.fixed_tool is None:
+            return X_WE, J
+        R, r = X_WE.rotation.T, self.fixed_tool.translation - X_WE.translation
+        return X_WE.actInv(self.fixed_tool), -np.vstack([R @ (J[:3] - pin.skew(r) @ J[3:]), R @ J[3:]])
+
     @property
     def base_point(self) -> FloatArray:
         """Origin (3,) of the arm's first joint in W, m."""
@@ -235,8 +250,7 @@ class Robot:
         Each joint moves it no further than the joint's own way times the longest distance at which that
         carries the tool; and in a time T no further than by v T, a T^2 / 4 and j T^3 / 32.
         """
-        lever = np.cumsum(self._link_lengths[1][:0:-1])[::-1]
-        each, limits = np.where(self.limits.prismatic, 1.0, lever), self.limits
+        each, limits = np.where(self.limits.prismatic, 1.0, self.levers), self.limits
 
         def beyond(T: float) -> float:
             ways = limits.velocity * T, limits.acceleration * T**2 / 4, limits.jerk * T**3 / 32
@@ -246,6 +260,14 @@ class Robot:
         while beyond(most) < 0:
             most *= 2.0
         return float(brentq(beyond, 0.0, most))
+
+    @property
+    def levers(self) -> FloatArray:
+        """Longest distances (n,), m, of the tool point from the joints, as far as the links may lead."""
+        longest = self._link_lengths[1]
+        if self.fixed_tool is None:
+            return np.asarray(np.cumsum(longest[:0:-1])[::-1])
+        return np.linalg.norm(self.fixed_tool.translation - self.base_point) + np.cumsum(longest[:-1])
 
     @property
     def _link_lengths(self) -> tuple[FloatArray, FloatArray]:

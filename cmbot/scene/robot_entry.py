@@ -110,7 +110,7 @@ Joints = Literal["elastic", "rigid"]
 
 
 class MountFile(FileModel):
-    """A pose in W: of the robot's base frame, or of a workpiece."""
+    """A pose in W."""
 
     xyz: Vector
     """Position, m."""

@@ -169,6 +169,9 @@ class Scene(FileModel):
         if self.guardrail.mass is not None and self.guardrail.stiffness is None and not measured:
             expected = "no mass where no stiffness is given"
             raise refusal(expected, got="a mass alone", key=("guardrail", "mass"))
+        if self.tool.fixed is not None and any(self.tool.process_force_n):
+            expected = "no force beside tool.fixed: it is not planned with yet"
+            raise refusal(expected, got=shown(self.tool.process_force_n), key=("tool", "process_force_n"))
         taken, frames = set(self.guardrail.member_names), [name for name, _ in self.frames]
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -521,7 +524,7 @@ class Scene(FileModel):
         """
         cells, whole = dict[int, Cells](), dict[int, Sequence[RowPiece]]()
         for k, file in enumerate(self.strokes):
-            surface = surface_of(file.raster, self._path_source(k), self.all_obstacles, X_WT)
+            surface = surface_of(file.raster, self._path_source(k), self._surfaces, X_WT)
             last = file
             if surface is not None and file.raster is not None and file.raster.pieces is None:
                 own = surface.cells
@@ -586,11 +589,17 @@ class Scene(FileModel):
                 return "tool_path" if name == WORK else f"tool_path.strokes[{listed.index(name)}]"
         return f"tool_path.strokes[{number}]"
 
+    @property
+    def _surfaces(self) -> tuple[Obstacle, ...]:
+        """Obstacles whose meshes rasters name: a fixed tool's path is on none of them, which are in W."""
+        return self.all_obstacles if self.tool.fixed is None else ()
+
     def _path_source(self, number: int) -> PathSource:
         return PathSource(
             source=self.source,
             key=self._stroke_key(number),
-            frames=self.frame_poses,
+            frames=self.frame_poses if self.tool.fixed is None else {},
+            on_part=self.tool.fixed is not None,
             max_speed=self.tool.max_speed_m_s,
             deviation=self.planner.max_tool_deviation_m,
             rotation=float(np.radians(self.planner.max_tool_rotation_deg)),
@@ -599,5 +608,5 @@ class Scene(FileModel):
     def _timed(self, number: int, file: StrokeFile, X_WT: FloatArray) -> Stroke:
         """A stroke, from the pose (4, 4) of the tool before."""
         place = self._path_source(number)
-        surface = surface_of(file.raster, place, self.all_obstacles, X_WT)
+        surface = surface_of(file.raster, place, self._surfaces, X_WT)
         return timed_stroke(file, place, X_WT, surface, begins_elsewhere=file.has_start or number > 0)

@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cmbot.common.reading.validation import CheckedFields
+from cmbot.scene.robot_entry import MountFile
 from cmbot.scene.uncertainty import Tolerance
 
 SPEED_TOLERANCE = 0.05
@@ -36,6 +37,10 @@ class Tool(CheckedFields):
         Length of the tip, along z up to the tool point, that may touch workpieces, mm; where that point
         touches, at least ``planner.safety_margin_m``. At most 10 mm may be in one. On free moves only as
         much of it as touches at their ends, within 2 mm. The rest keeps the margin.
+    fixed : MountFile or None
+        Pose in W of a tool that stands, such as a grinder, to which the arm holds the part. The path is then
+        in the part's frame, the robot's tool frame, for which ``world`` stands. Where its obstacle is a
+        workpiece `contact_mm` is of its tip. It has no process force.
 
     Raises
     ------
@@ -47,3 +52,4 @@ class Tool(CheckedFields):
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     tolerance: Tolerance | None = None
     contact_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    fixed: MountFile | None = None

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-import pinocchio as pin
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
@@ -355,7 +354,7 @@ def track_work(
     rigid, predicted = expected_tool(arm.robot, work, t, sag)
     q = work.postures(t) if curve is None else curve(t)
     u = _elastic_coordinates(bent, t)
-    error = _bent_tool(arm, q, u) - rigid - predicted
+    error = arm.tool_points(q, u) - rigid - predicted
     static = -predicted
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
@@ -477,13 +476,3 @@ def _elastic_coordinates(bent: ElasticMotion, t: FloatArray) -> FloatArray:
 
     # Of fourth order: its error is below that of the integrator.
     return np.asarray(CubicHermiteSpline(bent.t, bent.u, bent.v)(t))
-
-
-def _bent_tool(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
-    """Tool points (N, 3), m, at joint angles `q` (N, n) and elastic coordinates `u` (N, f)."""
-    model, data, tool = arm.model, arm.model.createData(), arm.tool_frame_id
-    p = np.empty((len(q), 3))
-    for k, configuration in enumerate(arm.configuration(q, u)):
-        pin.forwardKinematics(model, data, configuration)
-        p[k] = pin.updateFramePlacement(model, data, tool).translation
-    return p

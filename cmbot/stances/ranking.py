@@ -284,6 +284,9 @@ class _Stand:
             tried = ", ".join(dict.fromkeys(f"{name}: {alone or 'in the way'}" for name, alone in sides))
             others = "clamps hold edges and round bars; other faces are tried where guardrail.stance has one"
             raise PlanningError(f"no place on {where} in which a foot holds ({tried}); {others}")
+        if scene.tool.fixed is not None:
+            expected = "no fixed tool: stances are sought for tools that the arm holds"
+            raise SceneError(scene.source, "tool.fixed", "a fixed tool", expected)
         robot = robot_of(scene)
         strokes = strokes_of(scene, robot)
         # Each cell of a raster is a stroke of its own: together they are one of the scene's.

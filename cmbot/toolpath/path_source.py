@@ -59,6 +59,8 @@ class PathSource:
         The scene's, and the path's in it, for messages.
     frames : mapping of str to (4, 4)
         Poses in W of the frames that the scene names.
+    on_part : bool
+        The path is that of a fixed tool, in the frame of the part that the arm holds.
     max_speed : float or None
         Of the tool point, m/s: seconds that are to be found begin slower.
     deviation, rotation : float, m and rad
@@ -68,6 +70,7 @@ class PathSource:
     source: str
     key: str
     frames: Mapping[str, FloatArray]
+    on_part: bool = False
     max_speed: float | None = None
     deviation: float = 1e-3
     rotation: float = 1e-2
@@ -82,5 +85,10 @@ class PathSource:
         """
         frames = {"world": np.eye(4), "tool": X_WT, **self.frames}
         if name not in frames:
-            raise SceneError(self.source, f"{key}.frame", shown(name), "a frame of the scene", tuple(frames))
+            expected = "a frame of the scene"
+            if self.on_part:
+                expected = (
+                    "no frame, for that of the part, or tool: beside tool.fixed the path is on the part"
+                )
+            raise SceneError(self.source, f"{key}.frame", shown(name), expected, tuple(frames))
         return frames[name]

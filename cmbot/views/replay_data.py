@@ -184,11 +184,11 @@ class Frames:
         load = np.abs(interpolated(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
         hold = self._hold(samples)
         expected = samples.expected_tool_point
-        tool = (
-            Kinematics(self._robot).tool_poses(q)[0]
-            if expected is None
-            else interpolated(times, samples.t, expected)
-        )
+        kinematics, error = Kinematics(self._robot), None
+        tool = kinematics.tool_poses(q)[0] if expected is None else interpolated(times, samples.t, expected)
+        shown = kinematics.in_world(q, tool)
+        if tracking is not None:
+            error = kinematics.in_world(q, tool + interpolated(times, tracking.t, tracking.error)) - shown
         return {
             "poses": pack(link_poses(self._robot, q)),
             "torque": pack(interpolated(times, samples.t, samples.guardrail_torque)),
@@ -199,9 +199,9 @@ class Frames:
             "u": None if u is None else pack(u),
             "load": pack(load),
             "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),
-            "tool": pack(tool),
+            "tool": pack(shown),
             "expected": expected is not None,
-            "error": None if tracking is None else pack(interpolated(times, tracking.t, tracking.error)),
+            "error": None if error is None else pack(error),
             "strain": 0.0 if u is None or self.bending is None else self.bending.largest_strain(u),
             "peakTorque": metrics.peak_guardrail_torque,
             # Infinite without a pair of shapes that can collide; JSON has no infinity.

@@ -87,7 +87,7 @@ def test_a_capsule_is_cut_across_and_keeps_its_other_end(cmbot_robot: Robot) -> 
     assert isinstance(tool.geometry, coal.Capsule)
     X_JT = cmbot_robot.model.frames[cmbot_robot.tool_frame_id].placement
     seen = []
-    for shape in (tool, without_tip(cmbot_robot, tool, 0.05)):
+    for shape in (tool, without_tip(tool, X_JT, 0.05)):
         shape.geometry.computeLocalAABB()
         box = shape.geometry.aabb_local
         corners = np.array(list(product(*np.transpose([box.min_, box.max_]))))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from finite_differences import finite_difference
 
@@ -61,10 +62,11 @@ class Case:
         return self.first.sag(self.q, self.bases, self.gravity, push) @ self.R.T
 
 
-def test_sway_on_a_deck_is_that_of_the_modes_with_its_gradient() -> None:
-    """Against the bent arm's own modes, and against central differences."""
+@pytest.mark.parametrize("fixed_tool", [None, pin.SE3(np.eye(3), np.array([1.2, 0.9, -1.5]))])
+def test_sway_on_a_deck_is_that_of_the_modes_with_its_gradient(fixed_tool: Any) -> None:
+    """Against the bent arm's own modes, and against central differences; also of a part at a fixed tool."""
     scene = cmbot.load_scene("line")
-    robot = robot_of(scene)
+    robot = replace(robot_of(scene), fixed_tool=fixed_tool)
     arm = bending_arm(scene, robot)
     assert arm is not None
     sway = DeckSway(arm)

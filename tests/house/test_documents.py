@@ -400,6 +400,21 @@ def test_the_how_to_of_a_flange_beside_a_web_is_planned(
     np.testing.assert_allclose(np.degrees(np.arctan2(-z[:, 1], -z[:, 2])), 15, atol=0.1)
 
 
+def test_the_how_to_of_a_part_in_hand_is_planned() -> None:
+    (held,) = (block for block in yaml_blocks(DOCS / "how_to.md") if "fixed:" in block)
+    data = {
+        "format": "cmbot-scene/2",
+        "name": "held",
+        "guardrail": {"bays": 0},
+        **YAML(typ="safe").load(held),
+    }
+    # Sooner than about its axis.
+    data["tool_path"]["keep"] = "pose"
+    plan = cmbot.plan(cmbot.load_scene(data | {"planner": {"baseline": "none"}}))
+    assert plan.certificate.holds
+    assert plan.figures.min_clearance >= plan.options.safety_margin_m
+
+
 def test_every_variable_of_the_environment_that_is_read_is_listed() -> None:
     page = (DOCS / "command_line.md").read_text("utf-8")
     text = "".join(path.read_text("utf-8") for path in (ROOT / "cmbot").rglob("*.py"))

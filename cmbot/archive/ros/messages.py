@@ -368,9 +368,8 @@ def _markers(plan: Plan) -> Iterator[Message]:
 
     for obstacle in plan.scene.all_obstacles:
         yield from _solids(obstacle, marker)
-    for stroke in plan.strokes:
+    for stroke, path in zip(plan.strokes, plan.outlines, strict=True):
         width = (_LINE_WIDTH, 0.0, 0.0)
-        path = stroke.task.path.outline()
         yield marker(_LINE_STRIP, f"path {stroke.name}", np.eye(4), width, _PATH, path)
 
 

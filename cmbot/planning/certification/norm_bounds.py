@@ -27,6 +27,7 @@ class NormBounds:
     guardrail_force : (K, R), N
     guardrail_torque : (K, R), Nm
     tool_point : (K, R), m
+        Of a fixed tool in the part's frame, as the two below.
     tool_velocity : (K, R), m/s
         Of the tool point.
     tool_rotation : (K, R)
@@ -98,14 +99,38 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             if i == 0:
                 arm = to_foot + np.where(slides[0], on.q[..., 0], 0.0)
             about = turn[..., i] * about + arm * carried
+        point = point + rotation * tool
+        if robot.fixed_tool is not None:
+            point, velocity = _fixed_tool_bounds(robot, on, turn)
         return NormBounds(
             joint_torque=joint_torque,
             guardrail_force=carried,
             guardrail_torque=about,
-            tool_point=point + rotation * tool,
+            tool_point=point,
             tool_velocity=velocity,
             tool_rotation=rotation,
         )
+
+
+def _fixed_tool_bounds(robot: Robot, on: Ellipses, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bounds (K, R), m and m/s, of a fixed tool's point, seen from joint after joint up to the part.
+
+    `turn` (K, R, n) are those of the joints' rotations.
+    """
+    model, seen = robot.model, np.zeros(turn.shape[:2])
+    placements = [*list(model.jointPlacements)[2:], model.frames[robot.tool_frame_id].placement]
+    seen, velocity = (
+        seen + np.linalg.norm(robot.fixed_tool.translation - robot.base_point),
+        np.zeros_like(seen),
+    )
+    for i, X in enumerate(placements):
+        e, v = turn[..., i], on.v[..., i]
+        if robot.limits.prismatic[i]:
+            seen, velocity = seen + on.q[..., i], velocity + v
+        else:
+            seen, velocity = e * seen, e * (velocity + v * seen)
+        seen = seen + float(np.linalg.norm(X.translation))
+    return seen, velocity
 
 
 def timed_pose_bounds(path: ToolPath, pieces: Pieces) -> tuple[FloatArray, FloatArray]:

@@ -43,7 +43,7 @@ from cmbot.planning.workcell.stiffness import covariance_of
 from cmbot.planning.workcell.workcell import bending_arm, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, Stroke, coverage_of, pieces_left_out, rows_alone
-from cmbot.toolpath import Coverage
+from cmbot.toolpath import Coverage, ToolPath
 from cmbot.trajectory import QuinticTrajectory, sample_step
 
 if TYPE_CHECKING:
@@ -425,6 +425,19 @@ class Plan(StrokePlan):
         return Coverage(**{name: sum(getattr(of, name) for of in self.coverage.values()) for name in names})
 
     @cached_property
+    def outlines(self) -> tuple[FloatArray, ...]:
+        """Where the tool is to go on each stroke: points (k, 3), m, in W.
+
+        That of a fixed tool is where the part has it when the stroke begins.
+        """
+        each = zip(self.strokes, self.job.strokes, strict=True)
+        return tuple(self._drawn(stroke.task.path, segment.trajectory) for stroke, segment in each)
+
+    def _drawn(self, path: ToolPath, trajectory: QuinticTrajectory) -> FloatArray:
+        points = path.outline()
+        return Kinematics(self.robot).in_world(np.repeat(trajectory.q[:1], len(points), axis=0), points)
+
+    @cached_property
     def rows_left_out(self) -> tuple[FloatArray, ...]:
         """Where the tool would be along the pieces of rows that rasters leave out: points (k, 3), m, each."""
         lines = list[FloatArray]()
@@ -432,7 +445,7 @@ class Plan(StrokePlan):
             if file.raster is not None and file.raster.frame != "tool":
                 rows = rows_alone(file, replace(file.raster, pieces=(piece,), overscan_m=0.0))
                 (stroke,) = self.scene.with_strokes((rows,)).timed_strokes(np.eye(4))
-                lines.append(stroke.path.outline())
+                lines.append(self._drawn(stroke.path, self.job.strokes[0].trajectory))
         return tuple(lines)
 
     @cached_property

@@ -21,6 +21,8 @@ _REACH_TOLERANCE = 1e-9
 def out_of_reach(request: StrokeRequest, via_point: int) -> str:
     """Return why no posture within the joint ranges holds the tool at a via-point; empty without a proof."""
     robot = request.cell.robot
+    if robot.fixed_tool is not None:
+        return ""
     distance = float(np.linalg.norm(request.goals.point[via_point] - robot.base_point))
     where = f"out of reach: the tool point is {distance:.3f} m from the arm's first joint"
     if distance > robot.reach * (1 + _REACH_TOLERANCE):

@@ -32,7 +32,10 @@ class _Element:
 
 
 def bent_tool_points(robot: Robot, base: ElasticBase | None, q: FloatArray) -> FloatArray:
-    """Return where the bent arm holds the tool point at rest (N, 3), m, in postures `q` (N, n), rad."""
+    """Return where the bent arm holds the tool point at rest (N, 3), m, in postures `q` (N, n), rad.
+
+    A fixed tool's point it has in the frame of the part.
+    """
     model, data, N = robot.model, robot.model.createData(), len(q)
     steps = np.empty((model.njoints, N, 4, 4))
     for k, q_k in enumerate(q):
@@ -73,7 +76,19 @@ def bent_tool_points(robot: Robot, base: ElasticBase | None, q: FloatArray) -> F
         at = foot + shift[:, :3]
         moment = np.cross(first - mass * at, gravity) + np.cross(point - at, push)
         shift = np.hstack([mass * gravity + push, moment]) @ softness
-    return point
+    return seen_from_part(robot, point, R @ tool.rotation)[0]
+
+
+def seen_from_part(robot: Robot, p: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a fixed tool's points (N, 3), m, and orientations (N, 3, 3) seen from parts so placed in W.
+
+    Where no tool is fixed, `p` (N, 3) and `R` (N, 3, 3) are those of the tool itself.
+    """
+    if robot.fixed_tool is None:
+        return p, R
+    X_EW = np.linalg.inv(np.block([[R, p[:, :, None]], [np.zeros((len(p), 1, 3)), np.ones((len(p), 1, 1))]]))
+    X_ET = X_EW @ robot.fixed_tool.homogeneous
+    return X_ET[:, :3, 3], X_ET[:, :3, :3]
 
 
 def _elements(robot: Robot, joint: int) -> list[_Element]:

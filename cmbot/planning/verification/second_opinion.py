@@ -19,7 +19,7 @@ from cmbot.collision import Clearances, Obstacle, PointDistances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
-from cmbot.planning.verification.bent_tool import bent_tool_points
+from cmbot.planning.verification.bent_tool import bent_tool_points, seen_from_part
 from cmbot.planning.verification.described_arm import DescribedArm
 from cmbot.planning.verification.engine import engine_states, is_installed
 from cmbot.planning.verification.hold import hold_checks
@@ -234,9 +234,10 @@ def _engine_checks(
     q, v, a, _ = motion
     found, (p, R) = engine_states(arm, (q, v, a), robot.tool_force), Kinematics(robot).tool_poses(q)
     bound = _POSES * max(1.0, float(np.abs(found.tool_point).max()))
-    away = np.linalg.norm(p - found.tool_point, axis=1)
+    point, rotation = seen_from_part(robot, found.tool_point, found.tool_rotation)
+    away = np.linalg.norm(p - point, axis=1)
     yield largest_check(f"difference of the tool point {_FROM}", times, away, bound, "m")
-    turned = _angles(R, found.tool_rotation)
+    turned = _angles(R, rotation)
     yield largest_check(f"difference of the tool's orientation {_FROM}", times, turned, _POSES, "rad")
     weight = robot.carrier_mass * np.array(robot.model.gravity.linear)
     for name, own, other, unit in (

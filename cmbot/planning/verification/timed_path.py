@@ -194,7 +194,7 @@ class DescribedPath:
     """
 
     def __init__(self, scene: Scene, stroke: Stroke, X_tool: FloatArray) -> None:
-        named = scene.frames
+        named = scene.frames if scene.tool.fixed is None else ()
         frames = {name: pose_of(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in named}
         frames |= {"world": np.eye(4), "tool": X_tool}
         self._path, self._file, self._frames = stroke.path, stroke.file, frames

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.accuracy import stroke_sway
 from cmbot.collision import Clearances, Obstacle, extent_of
@@ -348,7 +349,9 @@ def robot_of(scene: Scene) -> Robot:
     _require_on_its_tube(scene, robot)
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
-    robot = replace(robot, tool_force=scene.tool.process_force_n, feet=_feet_of(scene, robot))
+    fixed = None if scene.tool.fixed is None else pin.SE3(np.array(scene.tool.fixed.matrix))
+    force = scene.tool.process_force_n
+    robot = replace(robot, tool_force=force, fixed_tool=fixed, feet=_feet_of(scene, robot))
     if len(robot.feet) < 2 or robot.leg_compliance is None:
         return robot
     # How far the legs give way says what of the wrench each foot bears.

@@ -45,7 +45,9 @@ def surface_of(
     }
     mesh_file = raster.mesh_file
     if mesh_file is None and raster.mesh not in meshes:
-        expected = "the name of an obstacle that is a mesh, or the path of a mesh file"
+        expected = "the path of a mesh file"
+        if not place.on_part:
+            expected = f"the name of an obstacle that is a mesh, or {expected}"
         raise SceneError(place.source, f"{key}.mesh", shown(raster.mesh), expected, tuple(meshes))
     shape, X_WM = (Mesh(path=mesh_file), X_WF) if mesh_file is not None else meshes[str(raster.mesh)]
 

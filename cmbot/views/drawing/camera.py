@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.planning import Plan
-from cmbot.robot import Chain, Robot, box_about
+from cmbot.robot import Chain, Kinematics, Robot, box_about
 from cmbot.views.drawing.meshcat_scene import reach, surroundings
 from cmbot.views.drawing.support import pole_of
 from cmbot.views.drawing.surfaces import obstacle_surface
@@ -60,12 +60,13 @@ def focus_of(
     largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
     feet = np.array([each.robot.foot_point for each in plans])
     points = [feet, feet[:1] + ARROW * reach(plan.robot) * torque / largest]
-    points += [samples.tool_point for samples in (*others, *(each.samples for each in plans))]
+    kinematics, moved = Kinematics(plan.robot), (*others, *(each.samples for each in plans))
+    points += [kinematics.in_world(samples.q, samples.tool_point) for samples in moved]
     if (pole := pole_of(plan.scene)) is not None:
         away = pole.beams.reshape(-1, 3) - feet[0]
         length = np.linalg.norm(away, axis=1, keepdims=True)
         points.append(feet[0] + away * np.minimum(1.0, _POLE * reach(plan.robot) / np.maximum(length, 1e-9)))
-    outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
+    outlines = [outline for each in plans for outline in each.outlines]
     beside = _BESIDE * reach(plan.robot)
     points += [*outlines, *workpieces(plan.scene.all_obstacles, np.concatenate(outlines), beside)]
     poses = [link_poses(robot, q[:: max(1, len(q) // 50)]) for robot, q in motions]
@@ -138,7 +139,8 @@ def _direction(
     that nearest to the usual one: outside the guardrail, at 45 deg to the stretched arm, as the torque of a
     weight is perpendicular to the arm, so both are visible.
     """
-    x, y, _ = plan.samples.tool_point.mean(axis=0) - np.array(plan.robot.foot_point)
+    tool = Kinematics(plan.robot).in_world(plan.samples.q, plan.samples.tool_point)
+    x, y, _ = tool.mean(axis=0) - np.array(plan.robot.foot_point)
     arm = np.arctan2(y, x)
     usual = float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - np.pi / 2)))
     surfaces = [surface for _, surface in surroundings(plan.scene)]

@@ -88,8 +88,7 @@ def obstacle_commands(scene: Scene) -> list[Command]:
 def path_commands(plan: Plan, above: str = "") -> list[Command]:
     """Return commands for the tool's paths and rows that are not reached: ``/path``, ``/left_out``."""
     thick = 0.002 * reach(plan.robot)
-    outlines = [stroke.task.path.outline() for stroke in plan.strokes]
-    drawn = {"path": (outlines, PATH), "left_out": (plan.rows_left_out, LEFT_OUT)}
+    drawn = {"path": (plan.outlines, PATH), "left_out": (plan.rows_left_out, LEFT_OUT)}
     return [
         _set_mesh(f"{above}/{name}", [tube(points, thick) for points in lines], colour)
         for name, (lines, colour) in drawn.items()

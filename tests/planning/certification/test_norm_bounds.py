@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from oracles import chang2021_arm
@@ -28,6 +29,13 @@ LARGEST_TURN = 30.0
 
 _EVERY = 8
 FORCE = (40.0, -300.0, -2000.0)
+FIXED_TOOL, _STEP = np.array([1.5, 0.8, -1.9]), 1e-5
+
+
+def _seen(q: FloatArray) -> FloatArray:
+    """A fixed tool's points (N, 3) in the part's frame, at complex angles `q` (N, 7)."""
+    p, R = chang2021_arm.tool_pose(q)
+    return np.einsum("kji,kj->ki", R, FIXED_TOOL - p)
 
 
 def _slopes(q: FloatArray, along: list[FloatArray]) -> list[FloatArray]:
@@ -49,6 +57,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     of, pushed = (
         norm_bounds(replace(cmbot_robot, tool_force=force), pieces.ellipses) for force in ((0, 0, 0), FORCE)
     )
+    held = norm_bounds(replace(cmbot_robot, fixed_tool=pin.SE3(np.eye(3), FIXED_TOOL)), pieces.ellipses)
     usual = pieces.ellipses.turn.sum(axis=2) < LARGEST_TURN
     assert usual[:, 2].all()
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
@@ -69,6 +78,10 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
         assert (np.linalg.norm(n_0, axis=1) <= of.guardrail_torque[k, r] * slack).all()
         assert (np.linalg.norm(p, axis=1) <= of.tool_point[k, r] * slack).all()
         assert (np.linalg.norm(R, 2, axis=(1, 2)) <= of.tool_rotation[k, r] * slack).all()
+        # Of a fixed tool, which the part sees where it is less the part's place.
+        rate = (_seen(q + _STEP * v) - _seen(q - _STEP * v)) / (2 * _STEP)
+        assert (np.linalg.norm(_seen(q), axis=1) <= held.tool_point[k, r] * slack).all()
+        assert (np.linalg.norm(rate, axis=1) <= held.tool_velocity[k, r] * (1 + 1e-6)).all()
         # With a force, at some of them.
         q, v, p, R, tau, n_0 = (x[::_EVERY] for x in (q, v, p, R, tau, n_0))
         F = R @ np.array(FORCE)
@@ -115,14 +128,18 @@ def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_st
     q, v, a = random_states(robot, 4)
     x = QuinticTrajectory(t=np.arange(4.0), q=q, v=v, a=a)
     pieces = Pieces.between(x, np.empty(0)).halved(np.ones(3, dtype=np.bool_))
-    of = norm_bounds(robot, pieces.ellipses)
+    holding = replace(robot, fixed_tool=pin.SE3(np.eye(3), FIXED_TOOL))
+    of, held = (norm_bounds(each, pieces.ellipses) for each in (robot, holding))
     for k in range(len(pieces.start)):
         q, v, a = x.states(np.linspace(pieces.start[k], pieces.end[k], 50))[:3]
         efforts = Dynamics(robot).efforts(q, v, a)
         assert (np.abs(efforts.joint_torque) <= of.joint_torque[k, 0]).all()
         assert (np.linalg.norm(efforts.guardrail_torque, axis=1) <= of.guardrail_torque[k, 0]).all()
-        points = Kinematics(robot).tool_poses(q)[0]
-        assert (np.linalg.norm(points, axis=1) <= of.tool_point[k, 0]).all()
+        for arm, bounds in ((robot, of), (holding, held)):
+            points, J = Kinematics(arm).tool_point_jacobians(q)
+            speeds = np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1)
+            assert (np.linalg.norm(points, axis=1) <= bounds.tool_point[k, 0]).all()
+            assert (speeds <= bounds.tool_velocity[k, 0]).all()
 
 
 def test_a_slide_lengthens_the_lever_of_all_weights(tmp_path: Path) -> None:
