@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from xml.etree import ElementTree
 
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
+from cmbot.common.poses import pose
 from cmbot.common.reading.validation import shown
 
 _ROTARY_TYPES = ("revolute", "continuous")
 _MOVING_TYPES = (*_ROTARY_TYPES, "prismatic")
+# Of axes, m and as a sine: nearer ones are the same.
+_SAME_AXIS = 1e-6
 # The name of a tool frame in ROS-Industrial's convention.
 _ROS_TOOL_FRAME = "tool0"
 
@@ -88,7 +95,8 @@ def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: 
         With that joint as its key.
     """
     tree = _Tree(root)
-    for joint in tree.joints(base_frame, tool_frame):
+    joints = tree.joints(base_frame, tool_frame)
+    for joint in joints:
         key, kind = f"joint[{joint.get('name')}]", joint.get("type")
         if joint.get("name") in tree.links:
             # Pinocchio finds no frame then; elsewhere such a joint is renamed.
@@ -97,8 +105,10 @@ def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: 
             raise ModelError(
                 source, f"{key}.type", kind, "an arm of revolute, continuous or prismatic joints"
             )
-        if joint.find("mimic") is not None:
+        if (mimic := joint.find("mimic")) is not None:
             expected = "an arm of independent joints: begin it behind this one (base_frame), or fix this one"
+            if taker := tree.taking_over(joints, joint, str(mimic.get("joint"))):
+                expected += f": {taker} turns about the same axis, then by both angles, with limits for that"
             raise ModelError(source, f"{key}.mimic", "a joint that follows another", expected)
 
 
@@ -129,6 +139,30 @@ class _Tree:
         row = self.row(link)
         below = row[row.index(base) + 1 :] if base in row else []
         return [self.above[name] for name in below if self.above[name].get("type") != "fixed"]
+
+    def taking_over(
+        self, joints: Sequence[ElementTree.Element], joint: ElementTree.Element, leader: str
+    ) -> str:
+        """The neighbour of a joint that turns by itself about the same axis; empty without one."""
+        for first, second in pairwise(joints):
+            other = second if first is joint else first
+            beside = joint in (first, second) and joint.get("type") in _ROTARY_TYPES and _turns(other)
+            if beside and other.get("name") != leader and self.share_axis(first, second):
+                return str(other.get("name"))
+        return ""
+
+    def share_axis(self, first: ElementTree.Element, second: ElementTree.Element) -> bool:
+        """Whether the axes of two joints, of which the second one is further out, are one line."""
+        inner, outer = (
+            next(link for link in self.above if self.above[link] is each) for each in (first, second)
+        )
+        row, X = self.row(outer), np.eye(4)
+        for link in row[row.index(inner) + 1 :]:
+            origin = self.above[link].find("origin")
+            X = X @ pose(*(_numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
+        axis, other = (_numbers(joint.find("axis"), "xyz", "1 0 0") for joint in (first, second))
+        axis, other = axis / np.linalg.norm(axis), X[:3, :3] @ other / np.linalg.norm(other)
+        return all(np.linalg.norm(np.cross(axis, x)) < _SAME_AXIS for x in (other, X[:3, 3]))
 
     def moving(self, base: str, link: str) -> bool:
         """Whether there are joints from `base` to `link`, and all turn or slide by themselves."""
@@ -163,6 +197,10 @@ class _Tree:
         """Links without links below."""
         inner = set(self.parents.values())
         return [link for link in self.links if link not in inner]
+
+
+def _numbers(element: ElementTree.Element | None, key: str, default: str) -> FloatArray:
+    return np.array((default if element is None else element.get(key, default)).split(), dtype=float)
 
 
 def _turns(joint: ElementTree.Element) -> bool:
