@@ -21,13 +21,12 @@ _REACH_TOLERANCE = 1e-9
 def out_of_reach(request: StrokeRequest, via_point: int) -> str:
     """Return why no posture within the joint ranges holds the tool at a via-point; empty without a proof."""
     robot = request.cell.robot
-    if robot.fixed_tool is not None:
-        return ""
     distance = float(np.linalg.norm(request.goals.point[via_point] - robot.base_point))
     where = f"out of reach: the tool point is {distance:.3f} m from the arm's first joint"
-    if distance > robot.reach * (1 + _REACH_TOLERANCE):
+    # A fixed tool's point is none in W.
+    if robot.fixed_tool is None and distance > robot.reach * (1 + _REACH_TOLERANCE):
         return f"{where}, which the arm with its tool stretched out, {robot.reach:.3f} m, does not reach"
-    if distance < robot.inner_reach * (1 - _REACH_TOLERANCE):
+    if robot.fixed_tool is None and distance < robot.inner_reach * (1 - _REACH_TOLERANCE):
         return f"{where}, nearer than {robot.inner_reach:.3f} m, as near as its links can bring it"
     chain = wrist_chain(request)
     # Any objective: none is bounded.

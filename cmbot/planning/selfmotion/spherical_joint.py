@@ -89,11 +89,10 @@ def wrist_chain(request: StrokeRequest) -> WristChain | None:
     """Return the chain of a request's arm and task; None where they do not decouple.
 
     They do for arms of six or seven revolute joints, the first or the last three of which meet, and
-    ``keep: pose``; with a wrist and a tool on its last axis also for ``keep: axis``. Chains to fixed tools
-    are left out.
+    ``keep: pose``; with a wrist and a tool on its last axis, which is not fixed, also for ``keep: axis``.
     """
     robot, task = request.cell.robot, request.task
-    if task.lean is not None or robot.fixed_tool is not None:
+    if task.lean is not None:
         return None
     n = robot.dof
     if n - 3 not in _INNER or task.keep == "position" or task.path.turns or robot.limits.prismatic.any():
@@ -101,7 +100,15 @@ def wrist_chain(request: StrokeRequest) -> WristChain | None:
     at = request.cell.postures.tool_at(np.zeros((1, n)))
     axis, origin = at.axis[0], at.origin[0]
     point, R = at.tool_point[0], at.tool_rotation[0]
-    turned = task.path.orientation @ R.T
+    goals, R_goal = request.goals.point, task.path.orientation
+    if at.part is not None:
+        if task.keep != "pose":
+            return None
+        # Where the part has to be follows from where a fixed tool has to be on it.
+        fixed, R = robot.fixed_tool, at.part.rotation[0]
+        R_goal = fixed.rotation @ R_goal.T
+        point, goals = fixed.translation - R @ point, fixed.translation - goals @ R_goal.T
+    turned = R_goal @ R.T
     joints = np.arange(n)
     for reverse in (False, True):
         if reverse:
@@ -117,9 +124,9 @@ def wrist_chain(request: StrokeRequest) -> WristChain | None:
                 continue
             free_axis = axis[-1]
         if reverse:
-            rotation, goal = turned.T, point + (centre - request.goals.point) @ turned
+            rotation, goal = turned.T, point + (centre - goals) @ turned
         else:
-            rotation, goal = turned, request.goals.point + turned @ (centre - point)
+            rotation, goal = turned, goals + turned @ (centre - point)
         return WristChain(
             joints=joints,
             axis=axis,
