@@ -202,7 +202,13 @@ def accuracy_of(
         tolerance_share=kept,
         parts=budget.told,
         remedies=_remedies(
-            budget, uncertainty, within, asked.probability, compensated=compensated, share=share
+            budget,
+            uncertainty,
+            within,
+            asked.probability,
+            compensated=compensated,
+            share=share,
+            locates=arm.robot.fixed_tool is None,
         ),
     )
 
@@ -220,6 +226,7 @@ def _remedies(
     *,
     compensated: bool,
     share: float,
+    locates: bool,
 ) -> tuple[Remedy, ...]:
     """What would help, each computed as the budget without what it takes away, and all of it together."""
     tried = list[tuple[str, Callable[[_Budget], _Budget]]]()
@@ -227,7 +234,7 @@ def _remedies(
         tried.append(("compensate: true", lambda other: other.scaled({"sag": 0.0})))
     if share > _IDENTIFIED:
         tried.append(("cmbot identify", lambda other: other.scaled({"stiffness": _IDENTIFIED / share})))
-    if uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg:
+    if locates and (uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg):
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
     tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
     if budget.shaking is not None:

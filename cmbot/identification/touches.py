@@ -17,7 +17,7 @@ the feature, and of planes ``nx,ny,nz``, of edges ``ex,ey,ez``, of cylinders the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.common.reading.fields import Posture, Text, Vector, given_of
 from cmbot.common.reading.text_table import read_table
 from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
@@ -243,6 +243,9 @@ def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | 
         scene = load_scene(given)
     else:
         scene = scene_named(file.scene, folder, source)
+    if scene.tool.fixed is not None:
+        expected = "a tool that the arm holds: what it touches says where that work is"
+        raise SceneError(scene.source, "tool.fixed", "a fixed tool", expected)
     name, frames = file.locates or frame_of(scene)[0], scene.frame_poses
     if name not in {"world", *frames}:
         raise InputError(source, "locates", name, "a frame of the scene, or world", tuple(frames))
@@ -265,7 +268,7 @@ def frame_of(scene: Scene) -> tuple[str, FloatArray]:
 
 def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
     """Places (N, 3) of the tool point in W; in postures that of the bent arm."""
-    robot = replace(robot_of(scene).tool_off, fixed_tool=None)
+    robot = robot_of(scene).tool_off
     places, at, postures = np.empty((len(file.touches), 3)), list[int](), list[FloatArray]()
     for k, touch in enumerate(file.touches):
         if touch.place is not None:

@@ -174,6 +174,20 @@ def test_a_base_beside_its_place_moves_the_tool_on_the_part(bent: Plan) -> None:
             np.testing.assert_allclose(placed.maps[k, :, axis], by, atol=1e-8)
 
 
+def test_what_would_help_is_told_of_what_helps(bent: Plan) -> None:
+    """Touched points say where work is, not where a tool stands: no remedy, as locate refuses it."""
+    assert bent.accuracy is not None
+    assert bent.accuracy.parts[0].name == "placement of the base"
+    assert "cmbot locate" not in [remedy.name for remedy in bent.accuracy.remedies]
+    touches = {
+        "format": "cmbot-touches/1",
+        "scene": "given",
+        "touches": [{"place": [0, 0, 0], "point": [0, 0, 0]}],
+    }
+    with pytest.raises(SceneError, match=r"tool.fixed: got a fixed tool, expected a tool that the arm holds"):
+        cmbot.locate(touches, scene=bent.scene)
+
+
 def in_frame(**path: Any) -> Scene:
     return held_scene(frames={"jig": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}}, tool_path=path)
 
