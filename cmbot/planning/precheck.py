@@ -447,8 +447,7 @@ def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
     """Yield the workpieces that the tip may touch, and a path holds it in: nothing else keeps it out."""
     times, path = stroke.via_times, stroke.path
     tip, ahead = path.position(times), path.rotation(times)[..., 2]
-    # A fixed tool's path is none in W: there the length that may touch bounds what may be in the part.
-    for obstacle in (each for each in scene.all_obstacles if each.contact and not scene.tool.fixed):
+    for obstacle in scene.touched:
         back = np.linspace(0.0, obstacle.contact, _TIP_PLACES)
         places = tip[:, None] - back[:, None] * np.broadcast_to(ahead, tip.shape)[:, None]
         inside = obstacle.contains(places.reshape(-1, 3)).reshape(len(tip), -1).mean(axis=1)

@@ -223,7 +223,8 @@ class Robot:
         if self.fixed_tool is None:
             return X_WE, J
         R, r = X_WE.rotation.T, self.fixed_tool.translation - X_WE.translation
-        return X_WE.actInv(self.fixed_tool), -np.vstack([R @ (J[:3] - pin.skew(r) @ J[3:]), R @ J[3:]])
+        moved, turned = R @ (J[:3] - pin.skew(r) @ J[3:]), R @ J[3:]
+        return X_WE.actInv(self.fixed_tool), -np.concatenate([moved, turned])
 
     @property
     def base_point(self) -> FloatArray:

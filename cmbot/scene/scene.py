@@ -22,6 +22,7 @@ from pydantic import (
 from cmbot.collision import Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, SceneError
+from cmbot.common.poses import pose
 from cmbot.common.reading.fields import FOLDER, Slug, mapping_of
 from cmbot.common.reading.validation import FileModel, counted, hint, refusal, require_type, shown, validated
 from cmbot.common.representation import card
@@ -471,6 +472,20 @@ class Scene(FileModel):
         every = (*own, *guardrail_obstacles(self.elastic_guardrail))
         contact = 1e-3 * self.tool.contact_mm
         return tuple(replace(one, contact=contact) if contact and one.workpiece else one for one in every)
+
+    @property
+    def touched(self) -> tuple[Obstacle, ...]:
+        """What the tool's tip may touch, in the frame of its path: workpieces, or the part it is held to."""
+        held = self.robot.tool
+        if self.tool.fixed is None:
+            return tuple(each for each in self.all_obstacles if each.contact)
+        if held is None or not self.tool.contact_mm:
+            return ()
+        X_EF = np.linalg.inv(pose(held.xyz, np.radians(held.rpy_deg)))
+        given = (each.model_dump(exclude_none=True) for each in held.shapes if each.mesh is None)
+        files = (obstacle_from_file(ObstacleFile.model_validate({"name": "part", **each})) for each in given)
+        contact = 1e-3 * self.tool.contact_mm
+        return tuple(replace(each, X_WO=X_EF @ each.X_WO, contact=contact) for each in files)
 
     def in_the_way(self, place: FootholdFile) -> str | None:
         """Return the name of an obstacle or member that a foot touches there, or on its way there from above.

@@ -156,6 +156,21 @@ def test_only_the_tip_of_a_fixed_tool_touches_the_part(rng: np.random.Generator)
         plan(held_scene(stand_off=0.0))
 
 
+def test_a_path_deep_in_the_part_is_refused() -> None:
+    """The tool point 15 mm below the face of the block, which is moved and turned in the part's frame."""
+    turned = {"xyz": [0, 0, OFFSET], "rpy_deg": [0, 0, 30], "mass_kg": 1.0}
+    block = {"box": [0.12, 0.12, 2 * FACE], "xyz": [0.01, 0, OFFSET]}
+    robot = {"model": "panda", "tool_frame": "panda_hand_tcp", "tool": {**turned, "shapes": [block]}}
+    deep = held_scene(stand_off=-0.015, tool={"contact_mm": 60}, robot=robot)
+    (part,) = deep.touched
+    # In the frame of the flange, which the part's is turned from by 30 degrees.
+    np.testing.assert_allclose(part.X_WO[:3, 3], [0.01 * np.cos(np.pi / 6), -0.005, 0], atol=1e-12)
+    with pytest.raises(SceneError, match=r"legs\[0\]: got 15 mm of the tip in part, the tool point at \("):
+        plan(deep)
+    pressed = held_scene(stand_off=-0.005, tool={"contact_mm": 60}, robot=robot)
+    assert not [each for each in cmbot.planning.precheck_scene(pressed).warnings if "of the tip" in each.got]
+
+
 def test_a_base_beside_its_place_moves_the_tool_on_the_part(bent: Plan) -> None:
     """The budget's part, against the part moved with the base by small steps."""
     nothing = {"mm": 0.0, "deg": 0.0}

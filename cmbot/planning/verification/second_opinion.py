@@ -20,7 +20,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check, largest_check
 from cmbot.planning.verification.bent_tool import bent_tool_points, seen_from_part
-from cmbot.planning.verification.described_arm import DescribedArm
+from cmbot.planning.verification.described_arm import DescribedArm, pose_of
 from cmbot.planning.verification.engine import engine_states, is_installed
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.planning.verification.timed_path import DescribedPath
@@ -263,6 +263,10 @@ def _stroke_checks(
         # No path begins there.
         yield Check(quantity="place of the tool at the start", time=0.0, value=size, bound=0.0, unit="m")
         return
+    if (fixed := scene.tool.fixed) is not None:
+        off = np.abs(robot.fixed_tool.homogeneous - pose_of(fixed.xyz, np.radians(fixed.rpy_deg))).max()
+        quantity = "difference of the fixed tool's pose from the scene's"
+        yield Check(quantity=quantity, time=0.0, value=float(off), bound=_POSES, unit="m")
     strokes = scene.timed_strokes(X_WT)
     stroke, keep = strokes[number], strokes[number].file.keep
     times, motion = _states(trajectory)
