@@ -104,8 +104,11 @@ class _Nodes:
 
     def near(self, nodes: FloatArray) -> FloatArray:
         """The inner nodes (K - 1,) of a law from rest to rest that are nearest to some."""
-        missing = self.target - self.matrix @ nodes
-        return np.asarray(nodes + np.linalg.lstsq(self.matrix, missing, rcond=None)[0])
+        return np.asarray(nodes + np.linalg.lstsq(self.matrix, self.missing(nodes), rcond=None)[0])
+
+    def missing(self, nodes: FloatArray) -> FloatArray:
+        """What nodes miss of a law from rest to rest, (3,)."""
+        return self.target - self.matrix @ nodes
 
     def law(self, nodes: FloatArray) -> TimeLaw:
         """The law of inner nodes."""
@@ -222,17 +225,9 @@ class _Points:
         # It goes forward all the way.
         matrix.append(np.column_stack([-self._matrices[1], np.zeros(len(self._matrices[1]))]))
         bound.append(self._matrices[1] @ nodes)
-        count = len(nodes)
-        solved = linprog(
-            np.append(np.zeros(count), 1.0),
-            A_ub=np.vstack(matrix),
-            b_ub=np.concatenate(bound),
-            A_eq=np.column_stack([self._space.matrix, np.zeros(3)]),
-            b_eq=self._space.target - self._space.matrix @ nodes,
-            bounds=[*[(-box, box)] * count, (-1.0, 0.0)],
-            method="highs",
+        return _step_within(
+            np.vstack(matrix), np.concatenate(bound), self._space.matrix, self._space.missing(nodes), box
         )
-        return np.asarray(solved.x[:-1]) if solved.status == 0 else None
 
     def _rows(self, d: list[FloatArray], *, derivatives: bool) -> Iterator[_Rows]:
         """The rows of a law, with or without derivatives by the nodes."""
@@ -287,6 +282,29 @@ class _Points:
             d_rest=np.einsum("nk,nkj->nj", u, d_rest),
             d_moving=np.einsum("nk,nkj->nj", u, d_moving),
         )
+
+
+def _step_within(
+    rows: FloatArray, bound: FloatArray, ends: FloatArray, missing: FloatArray, box: float
+) -> FloatArray | None:
+    """Return the step (n - 1,) of the nodes that lowers log T most, ``rows @ (step, log T) <= bound``.
+
+    The dual program is solved: it has as many rows as there are nodes, the program itself many times more.
+    """
+    count = rows.shape[1]
+    sides = np.eye(count)
+    low, high = np.full(count, box), np.full(count, box)
+    low[-1], high[-1] = 1.0, 0.0
+    free = np.zeros((len(missing), 1))
+    solved = linprog(
+        np.concatenate([bound, missing, low, high]),
+        A_eq=np.vstack([rows, np.hstack([ends, free]), -sides, sides]).T,
+        b_eq=-sides[-1],
+        bounds=[*[(0.0, None)] * len(rows), *[(None, None)] * len(missing), *[(0.0, None)] * (2 * count)],
+        method="highs-ds",
+        options={"presolve": False},
+    )
+    return np.asarray(solved.eqlin.marginals[:-1]) if solved.status == 0 else None
 
 
 def _combined(factors: list[FloatArray], powers: list[FloatArray]) -> FloatArray:
