@@ -7,7 +7,7 @@ stretched.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.timing.leg_paths import leg_paths, shortest_laws
+from cmbot.planning.timing.leg_paths import RoughLaw, leg_paths, rough_laws, shortest_law_of
 from cmbot.planning.timing.quiet_laws import shortest_quiet_law
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
@@ -66,8 +66,13 @@ def in_shortest_time(
     budget.used += half.used
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
-    timing = _timing(slow.attempt, slow.outcome.result.trajectory)
-    timed = slow.attempt.in_timing(timing) if isinstance(timing, Timing) else timing
+    trajectory = slow.outcome.result.trajectory
+    rough = _roughly_timed(slow.attempt, trajectory)
+    timed = (
+        slow.attempt.in_timing(_timing(slow.attempt, trajectory, rough))
+        if isinstance(rough, tuple)
+        else rough
+    )
     if not isinstance(timed, Attempt):
         return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
@@ -129,23 +134,33 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     return attempted(attempt.request, lambda: Solved(result=optimise(guess.problem)))
 
 
-def _timing(before: Attempt, trajectory: QuinticTrajectory) -> Timing | Failure:
-    """The shortest time along the joint path of a motion."""
+def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[RoughLaw, ...] | Failure:
+    """Laws of few phases along the joint path of a motion."""
     request = before.request
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    paths = leg_paths(request, legs, trajectory)
-    found = attempted(request, lambda: tuple(shortest_laws(request, paths)))
-    if not isinstance(found, tuple):
-        return found
-    shortest = tuple(law for _, _, law in found)
+    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory))))
+
+
+def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
+    """The shortest time along the joint path of a motion, by laws sought from rough ones."""
+    request = before.request
+    known = {law.leg: law for law in request.stroke.file.time_laws or ()}
+    shortest = tuple(shortest_law_of(law, known.get(law.path.leg)) for law in rough)
+    timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
+    timing = replace(timing, rough=_seconds(rough))
     if request.cell.arm is None:
-        return Timing.along(request, trajectory, paths, shortest)
-    quiet = tuple(shortest_quiet_law(request, *each) for each in found)
+        return timing
+    pairs = zip(rough, shortest, strict=True)
+    quiet = tuple(shortest_quiet_law(request, each.path, each.bounded, law) for each, law in pairs)
     laws = quiet if request.stroke.file.speed_profile.kind == "quiet" else shortest
     short, long = (sum(law.duration for law in each) for each in (shortest, quiet))
-    return replace(Timing.along(request, trajectory, paths, laws), both=(short, long))
+    return replace(timing, laws=laws, both=(short, long))
+
+
+def _seconds(rough: Sequence[RoughLaw]) -> float:
+    return sum(law.seconds for law in rough)
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -182,15 +197,20 @@ def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:
 
 
 def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
-    """Along the path that was planned last, laws that are shorter still."""
+    """Along the path that was planned last, laws that are shorter still, if rough ones are."""
     timing, solved = trial.attempt.timing, trial.outcome
     if timing is None or not isinstance(solved, Solved):
         return
     known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
-    shorter = _timing(trial.attempt, solved.result.work.trajectory)
+    trajectory = solved.result.work.trajectory
+    rough = _roughly_timed(trial.attempt, trajectory)
+    # Rough laws cost little, and tell by which share others are shorter.
+    if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
+        return
+    shorter = _timing(trial.attempt, trajectory, rough)
     # A little longer than the shortest is shorter than before.
     for factor in _FASTER:
-        if isinstance(shorter, Timing) and factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
+        if factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
             yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), factor)))
 
 

@@ -9,32 +9,35 @@ to rest. Along the path, with primes for derivatives by the share and dots for t
 
 where g, m and c are functions of s alone. For a given law the least T is the largest root of these rows. It
 is minimised over the nodes: a linear program in the nodes and log T around the law before, in a box that
-shrinks where T does not fall. In time there is no singularity where the tool rests, as there is in s. The
-optimum is a vertex, as bang-bang laws are, and there such programs converge quadratically.
+shrinks where T does not fall as it promises. Of each function a program has a row where it is worst in each
+short stretch: so no peak between coarse points is overlooked. In time there is no singularity where the tool
+rests, as there is in s. The optimum is a vertex, as bang-bang laws are, and there such programs converge
+quadratically.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PPoly
 from scipy.optimize import linprog
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.toolpath import TimeLaw
 
-# Points per phase at which rows are kept, and at which the duration is taken in the end.
-_POINTS_PER_PHASE, _FINAL_POINTS = 4, 12
-# Programs at most, least gain of one, and the box at first and at last, as a share of the largest node.
-_MAX_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
+# Points per phase at which the duration is taken, and stretches of each whose worst point a program has.
+_POINTS_PER_PHASE, _ROWS_PER_PHASE = 12, 4
+# Programs at most, and from each start before the best goes on; least gain of one; the box at first and last,
+# as a share of the largest node.
+_MAX_PROGRAMS, _FIRST_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 8, 1e-3, 0.5, 1e-3
+# The box shrinks where less than this share of what a program promises is gained, and grows above the other.
+_SHRINK, _EXPAND = 0.1, 0.6
 # A law of so many phases is sought from one of half of them.
 _MIN_REFINED_PHASES = 24
 # Points of any other law.
 _LAW_POINTS = 721
-# Shares of a smooth law that are mixed in until a law leads forward everywhere.
-_SMOOTH_LAW_SHARES = (0.0, 0.01, 0.1, 0.5, 1.0)
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
 _ACTIVE_ROW_SHARE = 0.7
 
@@ -68,14 +71,15 @@ class Bounded:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Rows ``at_rest + moving / T^order <= bound``, R of them, with derivatives by the nodes."""
+    """Rows ``at_rest + moving / T^k <= bound`` of one bounded function, R of them at each of N points.
 
-    order: int
-    at_rest: FloatArray
-    moving: FloatArray
-    bound: FloatArray
-    d_rest: FloatArray  # (R, K + 1)
-    d_moving: FloatArray  # (R, K + 1)
+    Each is a sum of the function's m components by `weights`.
+    """
+
+    at_rest: FloatArray  # (N, R)
+    moving: FloatArray  # (N, R)
+    bound: FloatArray  # (R,)
+    weights: FloatArray  # (R, m), or (N, 1, m) for a norm
 
 
 class _Nodes:
@@ -110,54 +114,39 @@ class _Nodes:
         """What nodes miss of a law from rest to rest, (3,)."""
         return self.target - self.matrix @ nodes
 
-    def law(self, nodes: FloatArray) -> TimeLaw:
-        """The law of inner nodes."""
-        coefficients = np.einsum("dkn,n->kd", self._orders[0].c[::-1, :, 1:-1], nodes)
-        return TimeLaw(
-            breaks=self._orders[0].x,
-            coefficients=coefficients,
-            continuity=np.full(self.phases + 1, 3),
-        )
-
 
 def shortest_law(
-    bounded: Sequence[Bounded], phases: int, known: FloatArray | None = None
-) -> tuple[TimeLaw, FloatArray, float]:
-    """Return the shortest law, its jerk (K + 1,) at the nodes by shares of time, and its duration, s.
+    bounded: Sequence[Bounded], phases: int, known: Sequence[FloatArray] = ()
+) -> tuple[FloatArray, float]:
+    """Return the jerk (K + 1,) at the nodes of the shortest law, by shares of time, and its duration, s.
 
     Parameters
     ----------
     bounded : sequence of Bounded
     phases : int
         K, at least 6.
-    known : (K + 1,), optional
-        Jerk at the nodes of a law that is known. The search begins there, too, with the smoothest law, and
+    known : sequence of (k,), optional
+        Jerk at the nodes of laws that are known. The search begins there, too, with the smoothest law, and
         with one of half the phases: programs find the optimum nearest to where they begin.
 
     Returns
     -------
-    TimeLaw, (K + 1,), float
+    (K + 1,), float
         The duration is infinite where a bound is exceeded at rest.
     """
     space = _Nodes(phases)
-    coarse = _Points(space, phases * _POINTS_PER_PHASE, bounded)
-    starts = [space.smooth(), *([] if known is None else [known[1:-1]])]
-    if phases >= _MIN_REFINED_PHASES:
+    if phases >= _MIN_REFINED_PHASES and all(len(jerk) > phases for jerk in known):
         # From few nodes programs get further.
-        coarser = phases // 2
-        jerk = shortest_law(bounded, coarser)[1]
-        starts.append(
-            space.near(np.interp(np.arange(1, phases) / phases, np.arange(coarser + 1) / coarser, jerk))
-        )
-    nodes, seconds = min((_descended(coarse, start) for start in starts), key=lambda law: law[1])
-    fine, smooth = _Points(space, phases * _FINAL_POINTS, bounded), space.smooth()
-    # Between the coarse points a law may lead back a little: the smooth one does not.
-    for share in _SMOOTH_LAW_SHARES if np.isfinite(seconds) else _SMOOTH_LAW_SHARES[:1]:
-        law = nodes + share * (smooth - nodes)
-        seconds = fine.seconds(law)
-        if np.isfinite(seconds):
-            break
-    return space.law(law), np.concatenate([[0.0], law, [0.0]]), seconds
+        known = [*known, shortest_law(bounded, phases // 2)[0]]
+    points, inner = (
+        _Points(space, phases * _POINTS_PER_PHASE, bounded),
+        np.linspace(0.0, 1.0, phases + 1)[1:-1],
+    )
+    at_nodes = [np.interp(inner, np.linspace(0.0, 1.0, len(jerk)), jerk) for jerk in known]
+    starts = [space.smooth(), *(space.near(nodes) for nodes in at_nodes)]
+    descents = [_Descent(points, start).go_on(_FIRST_PROGRAMS) for start in starts]
+    best = min(descents, key=lambda descent: descent.seconds).go_on(_MAX_PROGRAMS)
+    return np.concatenate([[0.0], best.nodes, [0.0]]), best.seconds
 
 
 def least_seconds(bounded: Sequence[Bounded], law: TimeLaw) -> float:
@@ -167,23 +156,29 @@ def least_seconds(bounded: Sequence[Bounded], law: TimeLaw) -> float:
     return _Points(_Nodes(1), 1, bounded).least(d)
 
 
-def _descended(points: _Points, nodes: FloatArray) -> tuple[FloatArray, float]:
-    """The optimum (K - 1,) that programs find from nodes on, and its duration, s."""
-    seconds, box = points.seconds(nodes), _BOX
-    for _ in range(_MAX_PROGRAMS if np.isfinite(seconds) else 0):
-        step = points.step(nodes, seconds, box * np.abs(nodes).max())
-        trial = np.inf if step is None else points.seconds(nodes + step)
-        if step is not None and trial < seconds:
-            gain = 1 - trial / seconds
-            nodes, seconds = nodes + step, trial
-            if gain < _LEAST_GAIN:
+class _Descent:
+    """What linear programs, one after the other, find from a law on."""
+
+    def __init__(self, points: _Points, nodes: FloatArray) -> None:
+        self._points, self._box, self._ended = points, _BOX, False
+        self.nodes, self.seconds = nodes, points.seconds(nodes)
+
+    def go_on(self, programs: int) -> _Descent:
+        """Solve so many programs, or fewer where nothing more is gained."""
+        for _ in range(programs if np.isfinite(self.seconds) else 0):
+            if self._ended:
                 break
-            box = min(2 * box, _BOX)
-            continue
-        box /= 4
-        if box < _SMALLEST_BOX:
-            break
-    return nodes, seconds
+            step, promised = self._points.step(self.nodes, self.seconds, self._box * np.abs(self.nodes).max())
+            trial = self._points.seconds(self.nodes + step)
+            gained = 1 - trial / self.seconds
+            if gained < _SHRINK * promised:
+                self._box /= 4
+            elif gained > _EXPAND * promised:
+                self._box = min(2 * self._box, _BOX)
+            if gained > 0:
+                self.nodes, self.seconds = self.nodes + step, trial
+            self._ended = promised < _LEAST_GAIN or self._box < _SMALLEST_BOX or 0 < gained < _LEAST_GAIN
+        return self
 
 
 class _Points:
@@ -203,93 +198,103 @@ class _Points:
     def least(self, d: list[FloatArray]) -> float:
         """The least duration, s, of a law that is `d`, with its derivatives, at some points."""
         inverse = np.inf  # of the duration
-        for rows in self._rows(d, derivatives=False):
+        for one in self._bounded:
+            rows = _rows_of(one, d)
             if (rows.at_rest >= rows.bound).any():
                 return float(np.inf)
             with np.errstate(divide="ignore", invalid="ignore"):
                 room = np.where(rows.moving > 0, (rows.bound - rows.at_rest) / rows.moving, np.inf)
-            inverse = min(inverse, float(room.min(initial=np.inf) ** (1 / rows.order)))
+            inverse = min(inverse, float(room.min(initial=np.inf) ** (1 / one.order)))
         return float(1.0 / inverse)
 
-    def step(self, nodes: FloatArray, seconds: float, box: float) -> FloatArray | None:
-        """The step of the nodes that a linear program finds in a box."""
-        matrix, bound = [], []
-        for rows in self._rows([matrix @ nodes for matrix in self._matrices], derivatives=True):
-            moving = rows.moving / seconds**rows.order
-            value = rows.at_rest + moving
-            near = value >= _ACTIVE_ROW_SHARE * rows.bound
-            by_nodes = rows.d_rest + rows.d_moving / seconds**rows.order
-            scale = rows.bound[near]
-            matrix.append(np.column_stack([by_nodes[near], -rows.order * moving[near]]) / scale[:, None])
-            bound.append(1 - value[near] / scale)
+    def step(self, nodes: FloatArray, seconds: float, box: float) -> tuple[FloatArray, float]:
+        """The step of the nodes that a linear program finds in a box, and what it promises of log T."""
+        d = [matrix @ nodes for matrix in self._matrices]
         # It goes forward all the way.
-        matrix.append(np.column_stack([-self._matrices[1], np.zeros(len(self._matrices[1]))]))
-        bound.append(self._matrices[1] @ nodes)
-        return _step_within(
-            np.vstack(matrix), np.concatenate(bound), self._space.matrix, self._space.missing(nodes), box
-        )
-
-    def _rows(self, d: list[FloatArray], *, derivatives: bool) -> Iterator[_Rows]:
-        """The rows of a law, with or without derivatives by the nodes."""
-        s = np.clip(d[0], 0.0, 1.0)
+        back, _ = self._worst(-d[1][:, None], -np.inf)
+        matrix = [np.column_stack([-self._matrices[1][back], np.zeros(len(back))])]
+        bound = [d[1][back]]
         for one in self._bounded:
-            powers, by_law = _powers(one.order, d)
-            factors = [term(s) for term in one.terms]
-            moving = _combined(factors, powers)
-            rest = np.zeros_like(moving) if one.offset is None else one.offset(s)
-            d_moving = d_rest = np.zeros((*moving.shape, 0))
-            if derivatives:
-                slopes = [term(s, 1) for term in one.terms]
-                by_s = _combined(slopes, powers)
-                d_moving = by_s[..., None] * self._matrices[0][:, None]
-                for factor, parts in zip(factors, by_law, strict=True):
-                    for order, part in parts.items():
-                        by_order = (factor * part[:, None])[..., None]
-                        d_moving = d_moving + by_order * self._matrices[order][:, None]
-                d_rest = np.zeros_like(d_moving)
-                if one.offset is not None:
-                    d_rest = one.offset(s, 1)[..., None] * self._matrices[0][:, None]
-            if one.norm:
-                yield from self._norms(one, rest, moving, d_rest, d_moving)
-                continue
-            for sign in (1.0, -1.0):
-                yield _Rows(
-                    order=one.order,
-                    at_rest=(sign * rest).ravel(),
-                    moving=(sign * moving).ravel(),
-                    bound=np.broadcast_to(one.bound, moving.shape).ravel(),
-                    d_rest=(sign * d_rest).reshape(moving.size, -1),
-                    d_moving=(sign * d_moving).reshape(moving.size, -1),
-                )
+            rows = _rows_of(one, d)
+            moving = rows.moving / seconds**one.order
+            use = (rows.at_rest + moving) / rows.bound
+            at, row = self._worst(use, _ACTIVE_ROW_SHARE)
+            scale = rows.bound[row]
+            weights = rows.weights[at, 0] if one.norm else rows.weights[row]
+            by_nodes = self._slopes(one, d, at, weights, seconds)
+            matrix.append(np.column_stack([by_nodes, -one.order * moving[at, row]]) / scale[:, None])
+            bound.append(1 - use[at, row])
+        ends = self._space.matrix, self._space.missing(nodes)
+        return _step_within(np.vstack(matrix), np.concatenate(bound), *ends, box)
 
-    @staticmethod
-    def _norms(
-        one: Bounded, rest: FloatArray, moving: FloatArray, d_rest: FloatArray, d_moving: FloatArray
-    ) -> Iterator[_Rows]:
-        """Norms of vectors, by the direction that they have where they reach their bound."""
-        square, mixed = (moving**2).sum(axis=1), (rest * moving).sum(axis=1)
-        room = one.bound[0] ** 2 - (rest**2).sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = (-mixed + np.sqrt(np.maximum(mixed**2 + square * room, 0.0))) / square
-        share = np.where(np.isfinite(share) & (room > 0), share, 0.0)
-        there = rest + share[:, None] * moving
-        u = there / np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-300)
-        yield _Rows(
-            order=one.order,
-            at_rest=(u * rest).sum(axis=1),
-            moving=(u * moving).sum(axis=1),
-            bound=np.full(len(u), one.bound[0]),
-            d_rest=np.einsum("nk,nkj->nj", u, d_rest),
-            d_moving=np.einsum("nk,nkj->nj", u, d_moving),
+    def _worst(self, use: FloatArray, least: float) -> tuple[IntArray, IntArray]:
+        """Points and rows at which `use` (N, R) is largest for a while, where that is at least so much."""
+        apart = _POINTS_PER_PHASE // _ROWS_PER_PHASE
+        stretches = use[:-1].reshape(-1, apart, use.shape[1])
+        at = stretches.argmax(axis=1) + apart * np.arange(len(stretches))[:, None]
+        near, row = np.nonzero(np.take_along_axis(use, at, axis=0) >= least)
+        return at[near, row], row
+
+    def _slopes(
+        self, one: Bounded, d: list[FloatArray], at: IntArray, weights: FloatArray, seconds: float
+    ) -> FloatArray:
+        """Derivatives (R, K - 1) by the nodes of a bounded function's sums by weights (R, m), at R points."""
+        s = np.clip(d[0][at], 0.0, 1.0)
+        powers, by_law = _powers(one.order, [each[at] for each in d])
+
+        def summed(term: Callable[..., FloatArray], order: int = 0) -> FloatArray:
+            return np.asarray((weights * term(s, order)).sum(axis=1))
+
+        parts = np.zeros((4, len(at)))
+        for term, power, by_order in zip(one.terms, powers, by_law, strict=True):
+            parts[0] += summed(term, 1) * power
+            factor = summed(term)
+            for order, part in by_order.items():
+                parts[order] += factor * part
+        parts /= seconds**one.order
+        if one.offset is not None:
+            parts[0] += summed(one.offset, 1)
+        each = [part[:, None] * matrix[at] for part, matrix in zip(parts, self._matrices, strict=True)]
+        return np.asarray(np.sum(each, axis=0))
+
+
+def _rows_of(one: Bounded, d: list[FloatArray]) -> _Rows:
+    """The rows of a bounded function along a law that is `d`, with its derivatives, at some points."""
+    s = np.clip(d[0], 0.0, 1.0)
+    powers, _ = _powers(one.order, d)
+    moving = np.sum([term(s) * power[:, None] for term, power in zip(one.terms, powers, strict=True)], axis=0)
+    rest = np.zeros_like(moving) if one.offset is None else one.offset(s)
+    if not one.norm:
+        signs = np.eye(moving.shape[1])
+        return _Rows(
+            at_rest=np.hstack([rest, -rest]),
+            moving=np.hstack([moving, -moving]),
+            bound=np.tile(one.bound, 2),
+            weights=np.vstack([signs, -signs]),
         )
+    # By the direction that it has where it reaches its bound.
+    square, mixed = (moving**2).sum(axis=1), (rest * moving).sum(axis=1)
+    room = one.bound[0] ** 2 - (rest**2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (-mixed + np.sqrt(np.maximum(mixed**2 + square * room, 0.0))) / square
+    share = np.where(np.isfinite(share) & (room > 0), share, 0.0)
+    there = rest + share[:, None] * moving
+    u = (there / np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-300))[:, None]
+    return _Rows(
+        at_rest=(u * rest[:, None]).sum(axis=2),
+        moving=(u * moving[:, None]).sum(axis=2),
+        bound=one.bound,
+        weights=u,
+    )
 
 
 def _step_within(
     rows: FloatArray, bound: FloatArray, ends: FloatArray, missing: FloatArray, box: float
-) -> FloatArray | None:
-    """Return the step (n - 1,) of the nodes that lowers log T most, ``rows @ (step, log T) <= bound``.
+) -> tuple[FloatArray, float]:
+    """Return the step (n - 1,) of the nodes that lowers log T most, and by how much.
 
-    The dual program is solved: it has as many rows as there are nodes, the program itself many times more.
+    It keeps ``rows @ (step, change of log T) <= bound``, and the law goes from rest to rest. The dual
+    program is solved: it has as many rows as there are nodes, the program itself many times more.
     """
     count = rows.shape[1]
     sides = np.eye(count)
@@ -304,13 +309,10 @@ def _step_within(
         method="highs-ds",
         options={"presolve": False},
     )
-    return np.asarray(solved.eqlin.marginals[:-1]) if solved.status == 0 else None
-
-
-def _combined(factors: list[FloatArray], powers: list[FloatArray]) -> FloatArray:
-    """Sums (N, m) of factors (N, m), each by its power (N,)."""
-    each = [factor * power[:, None] for factor, power in zip(factors, powers, strict=True)]
-    return np.asarray(np.sum(each, axis=0))
+    if solved.status != 0:
+        return np.zeros(count - 1), 0.0
+    *step, change = solved.eqlin.marginals
+    return np.array(step), -change
 
 
 def _powers(order: int, d: list[FloatArray]) -> tuple[list[FloatArray], list[dict[int, FloatArray]]]:

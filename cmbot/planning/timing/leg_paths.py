@@ -52,6 +52,30 @@ class LegPath:
     segments: int
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoughLaw:
+    """A law of half the phases.
+
+    Attributes
+    ----------
+    path : LegPath
+    bounded : list of Bounded
+        What bounds a motion along it.
+    phases : int
+        K, of a law that splines follow.
+    jerk : (K // 2 + 1,)
+        At the nodes, by shares of time.
+    seconds : float
+        How long it takes.
+    """
+
+    path: LegPath
+    bounded: list[Bounded]
+    phases: int
+    jerk: FloatArray
+    seconds: float
+
+
 def leg_paths(
     request: StrokeRequest, legs: Sequence[int], trajectory: QuinticTrajectory
 ) -> tuple[LegPath, ...]:
@@ -135,12 +159,8 @@ def bounds_along(
     return bounded
 
 
-def shortest_laws(
-    request: StrokeRequest, paths: Sequence[LegPath]
-) -> Iterator[tuple[LegPath, list[Bounded], LegLaw]]:
-    """Yield the shortest laws along joint paths within a request's limits, sought from those that it has.
-
-    With each its path and what bounds it.
+def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[RoughLaw]:
+    """Yield laws of few phases along joint paths within a request's limits, in which others are sought.
 
     Raises
     ------
@@ -149,19 +169,24 @@ def shortest_laws(
     """
     task = request.task
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
-    known = {law.leg: law for law in request.stroke.file.time_laws or ()}
     for each in paths:
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        law, before = known.get(each.leg), None
-        if law is not None and len(law.seconds) == phases:
-            before = np.array(law.jerk) * law.duration**3
-        _, jerk, seconds = shortest_law(bounded, phases, before)
+        jerk, seconds = shortest_law(bounded, phases // 2)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
-        each_jerk = tuple(float(x) for x in jerk / seconds**3)
-        yield each, bounded, LegLaw(leg=each.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
+        yield RoughLaw(path=each, bounded=bounded, phases=phases, jerk=jerk, seconds=seconds)
+
+
+def shortest_law_of(rough: RoughLaw, known: LegLaw | None) -> LegLaw:
+    """Return the shortest law along a joint path, sought from a rough one and from one that is known."""
+    phases, starts = rough.phases, [rough.jerk]
+    if known is not None and len(known.seconds) == phases:
+        starts.append(np.array(known.jerk) * known.duration**3)
+    jerk, seconds = shortest_law(rough.bounded, phases, starts)
+    each_jerk = tuple(float(x) for x in jerk / seconds**3)
+    return LegLaw(leg=rough.path.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:
