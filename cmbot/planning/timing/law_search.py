@@ -102,12 +102,13 @@ class _Nodes:
         """Matrices (N, K - 1) from the inner nodes to the law and its first three derivatives."""
         return [each(points)[:, 1:-1] for each in self._orders]
 
-    def smooth(self) -> FloatArray:
-        """Inner nodes (K - 1,) of least square: a law in the middle of all."""
-        return self.near(np.zeros(self.phases - 1))
+    def like(self, jerk: FloatArray) -> FloatArray:
+        """The inner nodes (K - 1,) of a law from rest to rest that is nearest to one with some jerk (k,).
 
-    def near(self, nodes: FloatArray) -> FloatArray:
-        """The inner nodes (K - 1,) of a law from rest to rest that are nearest to some."""
+        Nearest to none, the smoothest law is in the middle of all.
+        """
+        shares = np.linspace(0.0, 1.0, self.phases + 1)[1:-1]
+        nodes = np.interp(shares, np.linspace(0.0, 1.0, len(jerk)), jerk)
         return np.asarray(nodes + np.linalg.lstsq(self.matrix, self.missing(nodes), rcond=None)[0])
 
     def missing(self, nodes: FloatArray) -> FloatArray:
@@ -126,8 +127,8 @@ def shortest_law(
     phases : int
         K, at least 6.
     known : sequence of (k,), optional
-        Jerk at the nodes of laws that are known. The search begins there, too, with the smoothest law, and
-        with one of half the phases: programs find the optimum nearest to where they begin.
+        Jerk at the nodes of laws in which the search begins. Without them it begins with the smoothest law
+        and with one of half the phases: programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -135,16 +136,13 @@ def shortest_law(
         The duration is infinite where a bound is exceeded at rest.
     """
     space = _Nodes(phases)
-    if phases >= _MIN_REFINED_PHASES and all(len(jerk) > phases for jerk in known):
+    laws = list(known)
+    if not laws:
         # From few nodes programs get further.
-        known = [*known, shortest_law(bounded, phases // 2)[0]]
-    points, inner = (
-        _Points(space, phases * _POINTS_PER_PHASE, bounded),
-        np.linspace(0.0, 1.0, phases + 1)[1:-1],
-    )
-    at_nodes = [np.interp(inner, np.linspace(0.0, 1.0, len(jerk)), jerk) for jerk in known]
-    starts = [space.smooth(), *(space.near(nodes) for nodes in at_nodes)]
-    descents = [_Descent(points, start).go_on(_FIRST_PROGRAMS) for start in starts]
+        refined = phases >= _MIN_REFINED_PHASES
+        laws = [np.zeros(2), *([shortest_law(bounded, phases // 2)[0]] if refined else [])]
+    points = _Points(space, phases * _POINTS_PER_PHASE, bounded)
+    descents = [_Descent(points, space.like(jerk)).go_on(_FIRST_PROGRAMS) for jerk in laws]
     best = min(descents, key=lambda descent: descent.seconds).go_on(_MAX_PROGRAMS)
     return np.concatenate([[0.0], best.nodes, [0.0]]), best.seconds
 

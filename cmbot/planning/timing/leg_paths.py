@@ -173,7 +173,7 @@ def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[Rou
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        jerk, seconds = shortest_law(bounded, phases // 2)
+        jerk, seconds = shortest_law(bounded, phases // 2 if phases >= 2 * each.segments else phases)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
         yield RoughLaw(path=each, bounded=bounded, phases=phases, jerk=jerk, seconds=seconds)
