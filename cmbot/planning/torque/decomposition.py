@@ -24,6 +24,8 @@ LONGEST_WHOLE = 300
 
 # Longer ones are parted at the first corner after so many via-points, or a better one soon after.
 _MIN_PART_VIA_POINTS, _MAX_PART_VIA_POINTS = 100, 200
+# Rest at a via-point matters up to so many from it: what splines do at a knot dies out from there.
+_RESTING = 10
 # The SQP meets known constraints so much better than they have to be met.
 _SQP_TOLERANCE_SHARE = 0.5
 # It ends where a step promises no more than this share of the objective, or so many steps gain no more than
@@ -84,6 +86,8 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
             return _in_segments(problem, parts, progress)
         except OptimisationFailed as failure:
             # To rest at every end of a segment may be too much to ask; the whole path does not ask it.
+            if not _is_near_end(problem, parts, failure):
+                raise
             because = failure.reason
     if problem.parametrization.retraction is None:
         check_feasible(problem)
@@ -159,6 +163,15 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         stop=problem.request.deadline.expired,
         stop_reason=lambda: problem.request.deadline.over_in_words,
     )
+
+
+def _is_near_end(problem: TorqueProblem, parts: list[tuple[int, int]], failure: OptimisationFailed) -> bool:
+    """Whether a constraint is violated so near an end of a segment that rest there may be the reason."""
+    if failure.time is None:
+        return True
+    t, ends = problem.space.t, np.array([last for _, last in parts[:-1]])
+    first, last = t[ends - _RESTING], t[ends + _RESTING]
+    return bool(((first <= failure.time) & (failure.time <= last)).any())
 
 
 def _in_segments(
