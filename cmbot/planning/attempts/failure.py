@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar, assert_never
 
 import numpy as np
@@ -78,7 +78,7 @@ class NoWay:
     @property
     def error(self) -> PathNotFound:
         """The error that tells of it."""
-        error = PathNotFound(**_without("hints", self))
+        error = PathNotFound(**_without(self, "hints"))
         for hint in self.hints:
             error.add_hint(hint)
         return error
@@ -104,7 +104,7 @@ class NoTrajectory:
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertified:
-    """The certificate does not hold; attributes are those of `LimitViolation`."""
+    """The certificate of a trajectory does not hold; attributes are those of `LimitViolation`."""
 
     quantity: str
     time: float
@@ -113,6 +113,7 @@ class Uncertified:
     unit: str
     limit: Limit
     broken: Broken
+    trajectory: QuinticTrajectory | None = field(default=None, compare=False)
 
     @property
     def excess(self) -> float:
@@ -139,8 +140,15 @@ def attempted(request: StrokeRequest, make: Callable[[], Made]) -> Made | Failur
         return failure_of(request, error)
 
 
-def failure_of(request: StrokeRequest, error: PathNotFound | OptimisationFailed | LimitViolation) -> Failure:
-    """Return the failure that an error tells of, with pairs and joints named."""
+def failure_of(
+    request: StrokeRequest,
+    error: PathNotFound | OptimisationFailed | LimitViolation,
+    trajectory: QuinticTrajectory | None = None,
+) -> Failure:
+    """Return the failure that an error tells of, with pairs and joints named.
+
+    A `trajectory` is the one whose certificate does not hold.
+    """
     match error:
         case PathNotFound():
             no_way = _like(NoWay, error)
@@ -150,7 +158,8 @@ def failure_of(request: StrokeRequest, error: PathNotFound | OptimisationFailed 
             no_trajectory = _like(NoTrajectory, error, constraint=constraint, broken=broken)
             return OutOfTime(during=no_trajectory) if error.stopped else no_trajectory
         case LimitViolation():
-            return _like(Uncertified, error, broken=_broken(error.limit, error.value, error.bound))
+            broken = _broken(error.limit, error.value, error.bound)
+            return _like(Uncertified, error, broken=broken, trajectory=trajectory)
         case _:
             assert_never(error)
 
@@ -161,9 +170,9 @@ def error_of(failure: Failure) -> PlanningError:
         case NoWay():
             return failure.error
         case NoTrajectory():
-            return OptimisationFailed(**_without("broken", failure))
+            return OptimisationFailed(**_without(failure, "broken"))
         case Uncertified():
-            return LimitViolation(**_without("broken", failure))
+            return LimitViolation(**_without(failure, "broken", "trajectory"))
         case OutOfTime():
             error = error_of(failure.during)
             error.stopped = True
@@ -187,13 +196,13 @@ def briefly(failure: Failure) -> str:
 
 def _like(kind: type[Made], error: PlanningError, **given: object) -> Made:
     """The failure whose fields are attributes of an error, but for those that are given."""
-    names = {field.name for field in fields(kind)} - given.keys()  # type: ignore[arg-type]
+    names = {each.name for each in fields(kind)} - given.keys()  # type: ignore[arg-type]
     return kind(**{name: getattr(error, name) for name in names}, **given)
 
 
-def _without(name: str, failure: Failure) -> dict[str, Any]:
-    """The fields of a failure but one."""
-    return {key: value for key, value in vars(failure).items() if key != name}
+def _without(failure: Failure, *names: str) -> dict[str, Any]:
+    """The fields of a failure but some."""
+    return {key: value for key, value in vars(failure).items() if key not in names}
 
 
 def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Broken]:

@@ -179,7 +179,7 @@ def _certified(
     try:
         certificate.require()
     except LimitViolation as violation:
-        failure = failure_of(request, violation)
+        failure = failure_of(request, violation, optimised.trajectory)
         if optimised.failure is not None and not is_little_nearer(failure):
             return failure_of(request, optimised.failure)
         return failure

@@ -37,6 +37,7 @@ from cmbot.planning.initial_guess import (
     InitialGuess,
     initial_guess,
     leap,
+    problem_near,
     roughness,
     searched,
     sliding_guess,
@@ -107,13 +108,21 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
     """Smaller bounds on the tool in what is optimised, where what encloses it for all times exceeds them."""
     attempt = trial.attempt
     match trial.outcome, attempt.guess:
-        case Uncertified(broken=ToolOff(ratio=ratio)), InitialGuess() as guess if 1.0 < ratio < _NEARLY_ON:
+        case Uncertified(broken=ToolOff(ratio=ratio)) as failure, InitialGuess() as guess if (
+            1.0 < ratio < _NEARLY_ON
+        ):
             share = attempt.request.tool_share * _NEARER_TOOL_FACTOR / ratio
             request = replace(attempt.request, tool_share=share)
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
-            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
-            yield from _changed(attempt, replace(guess, problem=problem), request=request)
+            last = failure.trajectory
+            if last is None or request.cell.sag is not None:
+                problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
+            else:
+                # Where it ended is a little off what is asked now.
+                problem = attempted(request, partial(problem_near, request, guess, last.q, near=last))
+            if isinstance(problem, TorqueProblem):
+                yield from _changed(attempt, replace(guess, problem=problem), request=request)
 
 
 def _tell_nearer(before: AnyTrial, after: AnyTrial) -> str:

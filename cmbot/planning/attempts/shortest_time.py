@@ -191,7 +191,9 @@ def _fewer_stretched_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
 
 
 def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:
-    attempt = trial.attempt.in_timing(timing)
+    # In any time what is optimised has to be as much nearer than what is certified.
+    request = replace(timing.request, tool_share=trial.attempt.request.tool_share)
+    attempt = trial.attempt.in_timing(replace(timing, request=request))
     if isinstance(attempt, Attempt):
         yield replace(attempt, is_first=False)
 
@@ -208,8 +210,8 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
         return
     shorter = _timing(trial.attempt, trajectory, rough)
-    # A little longer than the shortest is shorter than before.
-    for factor in _FASTER:
+    # A little longer than the shortest is shorter than before; where that was needed, it is again.
+    for factor in _FASTER[int((timing.factors > 1.0).any()) :]:
         if factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
             yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), factor)))
 

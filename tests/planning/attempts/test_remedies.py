@@ -320,6 +320,19 @@ def test_where_the_certificate_finds_the_tool_off_it_is_planned_nearer(
         assert "was missed" in sentence
 
 
+def test_planning_nearer_goes_on_where_what_was_not_certified_ended(rough: Attempt) -> None:
+    form = rough.guess.problem.parametrization
+    last = form.step(np.full(form.dimension, 1e-3)).trajectory
+    assert np.abs(last.q - form.via_points).max() > 1e-6
+    strays = replace(missed(ToolOff(what=Limit.TOOL_DEVIATION, ratio=1.1), 1.1e-3, 1e-3), trajectory=last)
+    ((attempt, _),) = tried(NEARER_TOOL, rough, strays)
+    begun = attempt.guess.problem.parametrization.trajectory
+    for order in range(3):
+        np.testing.assert_allclose(
+            begun.evaluate(last.t, order), last.evaluate(last.t, order), rtol=0, atol=1e-7
+        )
+
+
 @pytest.mark.parametrize(("value", "helps"), [(1.00008e-3, True), (1.2e-3, False)])
 def test_where_a_bound_is_missed_narrowly_there_are_more_samples(
     rough: Attempt, value: float, helps: bool
