@@ -170,7 +170,7 @@ def _is_near_end(problem: TorqueProblem, parts: list[tuple[int, int]], failure: 
     if failure.time is None:
         return True
     t, ends = problem.space.t, np.array([last for _, last in parts[:-1]])
-    first, last = t[ends - _RESTING], t[ends + _RESTING]
+    first, last = t[np.maximum(ends - _RESTING, 0)], t[np.minimum(ends + _RESTING, len(t) - 1)]
     return bool(((first <= failure.time) & (failure.time <= last)).any())
 
 

@@ -130,3 +130,23 @@ def test_where_a_segment_fails_the_path_is_solved_as_a_whole(
     assert said.startswith("The path was optimised as a whole, as a segment failed (nothing to be done")
     assert said in list(remarks(made))
     assert load_plan(save(made, tmp_path / "plan")).fallbacks == (said,)
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_a_segment_that_fails_far_from_its_ends_fails_on_the_whole_path(
+    monkeypatch: pytest.MonkeyPatch, near: bool
+) -> None:
+    problem = problem_of(to_and_fro("sliding"))
+    monkeypatch.setattr(decomposition, "_RESTING", 2)
+    (_, end), *_ = segments(problem)
+    time = float(problem.space.t[end - (1 if near else 4)])
+
+    def failing(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
+        raise OptimisationFailed("nothing to be done", constraint="any", violation=1.0, time=time)
+
+    monkeypatch.setattr(TorqueProblem, "segment", failing)
+    if near:
+        assert optimise(problem).whole_because == "nothing to be done"
+    else:
+        with pytest.raises(OptimisationFailed, match="nothing to be done"):
+            optimise(problem)
