@@ -115,14 +115,12 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
             request = replace(attempt.request, tool_share=share)
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
-            last = failure.trajectory
-            if last is None or request.cell.sag is not None:
-                problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
-            else:
+            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
+            if (last := failure.trajectory) is not None and request.cell.sag is None:
                 # Where it ended is a little off what is asked now.
-                problem = attempted(request, partial(problem_near, request, guess, last.q, near=last))
-            if isinstance(problem, TorqueProblem):
-                yield from _changed(attempt, replace(guess, problem=problem), request=request)
+                near = attempted(request, partial(problem_near, request, guess, last.q, near=last))
+                problem = near if isinstance(near, TorqueProblem) else problem
+            yield from _changed(attempt, replace(guess, problem=problem), request=request)
 
 
 def _tell_nearer(before: AnyTrial, after: AnyTrial) -> str:
