@@ -257,8 +257,9 @@ def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     assert {"compensate: true", "cmbot locate"} <= {remedy.name for remedy in accuracy.remedies}
     said = verdict(bent)
     assert said.startswith(
-        f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 %; "
-        f"largest part: {largest.name}, {100 * accuracy.shares[0]:.0f} % of the mean square. "
+        f"The tool is within {accuracy.within_mm:.3g} mm of its path with 95 % "
+        f"(no tool.tolerance is asked for); largest part: {largest.name}, "
+        f"{100 * accuracy.shares[0]:.0f} % of the mean square. "
     )
     assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.

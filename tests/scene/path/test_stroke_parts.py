@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import panda_scene
 
@@ -42,6 +42,7 @@ def fastest(path: ToolPath, leg: int) -> tuple[float, float]:
     return float(speed.max()), float(np.abs(np.diff(speed)).max() / (times[1] - times[0]))
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(0.01, 3.99).map(lambda at: round(at, 3)), min_size=1, max_size=4, unique=True))
 def test_parts_are_the_way_of_the_whole(ends: list[float]) -> None:
     scene = scene_of()

@@ -277,11 +277,10 @@ def test_normal_and_direction_are_those_of_the_sheet(tmp_path: Path, short_plan:
     along, _, out = strokes[0].surface.axes @ scene.frame_poses["bracket"][:3, :3]
     assert np.abs(along @ turned[:3, 0]) == pytest.approx(1.0, abs=2e-3)
     assert out @ turned[:3, 2] == pytest.approx(1.0, abs=2e-3)
-    assert "found in W: normal [" in dict(precheck_scene(scene).found)["faces of part"]
+    found = dict(precheck_scene(scene).found)["faces of part"]
+    assert "found in W: normal [" in found
     # A plan says it, too.
-    said = [*remarks(replace(short_plan, scene=scene))]
-    told = dict(precheck_scene(scene).found)["faces of part"].partition("; ")[2]
-    assert f"Faces of work, {told}." in said
+    assert f"Faces of work, {found.partition('; ')[2]}." in remarks(replace(short_plan, scene=scene))
     # They do for what was left out.
     faces = {"normal": out.tolist(), "within_deg": 80}
     other = raster_scene(tmp_path, sheet, faces=faces, along=along.tolist(), **lean)
