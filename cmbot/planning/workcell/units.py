@@ -15,7 +15,8 @@ from cmbot.scene import Scene
 # An angle is whole to this, deg.
 _WHOLE_ANGLE_TOLERANCE_DEG = 1e-6
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
-# One whose every side is beyond the second is, where as millimetres it would be near the arm.
+# One whose every side is beyond the second is, where as millimetres it would be near the arm; so is a tool that
+# is fixed as far away.
 _HUGE, _VAST = 5.0, 50.0
 # What is nearer than so many times the arm's reach is near it; what is further than the second is far away.
 _NEAR_REACHES, _FAR_REACHES = 4.0, 10.0
@@ -45,6 +46,9 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
         for name, most in (("adhesion_n", hold.adhesion_n), ("force_n", hold.force_n and max(hold.force_n))):
             if most is not None and most < _LEAST_HOLD_N:
                 yield f"{block}.hold.{name}", "kN", "N"
+    fixed = scene.tool.fixed
+    if fixed is not None and np.abs(fixed.xyz).max() > _VAST:
+        yield "tool.fixed.xyz", "millimetres", "metres"
     for obstacle in _own(scene):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
             yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"

@@ -93,3 +93,9 @@ def test_a_vast_mesh_is_refused_and_its_scale_is_what_helps(tmp_path: Path) -> N
     scaled = precheck_scene(cmbot.load_scene(with_obstacle(**block, scale=0.001)))
     assert not scaled.warnings
     assert dict(scaled.found)["obstacles"].startswith(str(len(short_scene().all_obstacles) + 1))
+
+
+def test_a_fixed_tool_in_millimetres_is_told_first() -> None:
+    tool = {"fixed": {"xyz": [500, 0, 250], "rpy_deg": [0, 0, 0]}}
+    first, *_ = precheck_scene(cmbot.load_scene({**SHORT, "tool": tool})).warnings
+    assert (first.key, first.got) == ("tool.fixed.xyz", "numbers that look like millimetres")
