@@ -15,8 +15,8 @@ from cmbot.scene import Scene
 # An angle is whole to this, deg.
 _WHOLE_ANGLE_TOLERANCE_DEG = 1e-6
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
-# One whose every side is beyond the second is, where as millimetres it would be near the arm; so is a tool that
-# is fixed as far away.
+# One whose every side is beyond the second is, where as millimetres it would be near the arm;
+# so is a tool that is fixed as far away.
 _HUGE, _VAST = 5.0, 50.0
 # What is nearer than so many times the arm's reach is near it; what is further than the second is far away.
 _NEAR_REACHES, _FAR_REACHES = 4.0, 10.0
