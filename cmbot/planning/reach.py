@@ -108,14 +108,16 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         at = request.at_stroke(number)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
-            left_out = "rows beyond it are left out" if _is_cut(stroke) else ""
+            some = _is_cut(stroke) and bool(miss.missed.found.any())
+            left_out = "rows beyond it are left out" if some else ""
+            wanted = "feet that bear it, or another place (cmbot stand)" if miss.feet_bind else ""
             remedy = leaning(scene, at) or ("" if left_out else miss.remedy())
             expected = "; ".join(filter(None, (left_out, remedy)))
             yield Finding(
                 severity="warning",
                 key=miss.key,
                 got=f"a path that is {miss.reason()}",
-                expected=": ".join(filter(None, ("a path within reach", expected))),
+                expected=": ".join(filter(None, (wanted or "a path within reach", expected))),
             )
 
 

@@ -310,6 +310,9 @@ def test_a_clamp_that_bears_more_than_a_thin_bar_is_told() -> None:
     }
     warnings = precheck_scene(short_scene(guardrail=rails)).warnings
     twisted, bent = (each for each in warnings if each.key == "guardrail.hold.moment_nm")
+    blocked = next(each for each in warnings if each.key == "tool_path.legs[0]")
+    assert "at best a foot uses " in blocked.got
+    assert blocked.expected.startswith("feet that bear it, or another place (cmbot stand)")
     most = 2 * np.pi * 0.02**3 / 32 * 235e6
     yields = "at which the member yields, of S235; so much is taken"
     assert bent.got == "1200 Nm about the width"

@@ -106,6 +106,12 @@ class NearestMiss:
         return float(self.request.cell.use_at_rest(self.request.cell.postures.at(self.missed.best[None]))[0])
 
     @property
+    def feet_bind(self) -> bool:
+        """Whether it is the feet that the best posture asks too much of."""
+        heavy = self.missed.is_held and self._use > 1.0
+        return heavy and weakest_joint(self.request.cell, self.missed.best[None]) == FEET
+
+    @property
     def at_best(self) -> str:
         """What the best posture that was found lacks."""
         cell, best, use = self.request.cell, self.missed.best[None], self._use
