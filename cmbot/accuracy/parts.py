@@ -163,7 +163,9 @@ def _joints(robot: Robot, q: FloatArray, J: FloatArray, uncertainty: Uncertainty
     springs = [robot.joint_elasticity.get(name) for name in names]
     if any(springs) and given.friction_share:
         data = robot.model.createData()
-        torque = np.array([pin.computeGeneralizedGravity(robot.model, data, posture) for posture in q])
+        every = robot.coupling.positions(q)
+        torque = np.array([pin.computeGeneralizedGravity(robot.model, data, each) for each in every])
+        torque = robot.coupling.projected(torque)
         give = np.array([0.0 if spring is None else 1 / spring.stiffness for spring in springs])
         windup = given.friction_share * np.abs(torque[:, turning]) * give
         maps = _UNIFORM * J * windup[:, None, :]
@@ -177,7 +179,7 @@ def _bowed(robot: Robot, q: FloatArray, tool: FloatArray, difference: float) -> 
     """
     model, data = robot.model, robot.model.createData()
     maps = np.empty((len(q), 3, 2 * len(robot.elasticity)))
-    for k, posture in enumerate(q):
+    for k, posture in enumerate(robot.coupling.positions(q)):
         pin.framesForwardKinematics(model, data, posture)
         for number, (link, tube) in enumerate(robot.elasticity.items()):
             X = data.oMf[model.getFrameId(link)]

@@ -152,7 +152,7 @@ def _inertial_loads(
     model.gravity = pin.Motion.Zero()
     q, v, a = (motion(t, order) for order in range(3))
     u, du, ddu = (still.evaluate(t, order) for order in range(3))
-    x, dx, ddx = arm.configuration(q, u), arm.configuration(v, du), arm.configuration(a, ddu)
+    x, dx, ddx = arm.configuration(q, u), arm.rates(v, du), arm.rates(a, ddu)
     loads = np.empty_like(u)
     for k in range(len(t)):
         loads[k] = pin.rnea(model, data, x[k], dx[k], ddx[k])[arm.elastic]

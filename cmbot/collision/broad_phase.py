@@ -127,20 +127,21 @@ class BroadPhase:
         # The vectors of each moving box: centre, half edges and, where it is a second one, axes.
         with_axes = {group.shape for group in self._both_move}
         moving = sorted({shape for pair in pairs for shape in pair if self._boxes[shape].joint > 0})
-        self._carried = [[k for k in moving if self._boxes[k].joint == j + 1] for j in range(robot.dof)]
+        joints = range(1, robot.model.njoints)
+        self._carried = [[k for k in moving if self._boxes[k].joint == joint] for joint in joints]
         self._vectors: dict[int, FloatArray] = {}
         for k in moving:
             box = self._boxes[k]
             self._vectors[k] = np.vstack([box.centre, box.edges(), box.axes[: 3 * (k in with_axes)]])
         none = np.empty((0, 3))
         vectors = [np.vstack([none, *(self._vectors[k] for k in carried)]) for carried in self._carried]
-        self._chain = Chain(robot.model, vectors)
+        self._chain, self._coupling = Chain(robot.model, vectors), robot.coupling
 
     def lower_bounds(self, q: FloatArray) -> Iterator[LowerBounds]:
         """Yield the bounds in postures `q` (N, n), rad, block by block."""
         for start in range(0, len(q), _POSTURES_PER_BLOCK):
             block = slice(start, min(start + _POSTURES_PER_BLOCK, len(q)))
-            yield self._bounds(q[block].T, block)
+            yield self._bounds(self._coupling.positions(q[block]).T, block)
 
     def _group(self, shape: int, others: list[tuple[int, int]]) -> _Group:
         boxes = [self._boxes[other] for _, other in others]

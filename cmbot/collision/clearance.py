@@ -106,17 +106,17 @@ class Clearances:
         self._robot, self._obstacles = robot, obstacles
         paired = PairedShapes(robot, obstacles)
         self.pairs, self._shapes, self._joints = paired.pairs, paired.shapes, paired.joints
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data, self._coupling = robot.model, robot.model.createData(), robot.coupling
         self._geometry, self._geometry_data = paired.geometry, pin.GeometryData(paired.geometry)
         for request in self._geometry_data.distanceRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
         _disable_guesses([*self._geometry_data.distanceRequests, *self._geometry_data.collisionRequests])
         shapes = list(self._geometry.geometryObjects)
         reach = shape_reach(self._model, shapes)
-        self.reach = reach.max(axis=0, initial=0.0)
+        self.reach = self._coupling.summed(reach).max(axis=0, initial=0.0)
         self._broad_phase = BroadPhase(robot, shapes, self._shapes)
-        self.pair_reach = pair_reach(reach, self._joints, self._shapes)
-        self._cache = DistanceCache(self._model, self._geometry, self._geometry_data, self.pair_reach)
+        self.pair_reach = self._coupling.summed(pair_reach(reach, self._joints, self._shapes))
+        self._cache = DistanceCache(robot, self._geometry, self._geometry_data, self.pair_reach)
         self._avoidable = np.array([pair.avoidable for pair in self.pairs], dtype=np.bool_)
         self._any_avoidable = bool(self._avoidable.any())
         self._margin = np.nan
@@ -212,7 +212,7 @@ class Clearances:
                 if pairs is not None:
                     self._place_shapes(q_k)
                     found[k] = self._first_colliding(pairs)
-                elif pin.computeCollisions(*self._all, q_k, True):
+                elif pin.computeCollisions(*self._all, self._coupling.positions(q_k), True):
                     # It stops at the first pair: what comes after that is of another posture.
                     found[k] = next(pair for pair, result in enumerate(results) if result.isCollision())
             return found
@@ -282,7 +282,7 @@ class Clearances:
     def _point_jacobian(self, joint: int, point: FloatArray) -> FloatArray:
         """Jacobian (3, n) of a point of W that is fixed to `joint`."""
         J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
-        return np.asarray(J[:3] - pin.skew(point) @ J[3:])
+        return self._coupling.projected(np.asarray(J[:3] - pin.skew(point) @ J[3:]))
 
     def _smallest_at(self, q: FloatArray, left_out: BoolArray) -> tuple[float, int]:
         """Smallest distance and its pair in posture `q` (n,), by the cached bounds."""
@@ -355,10 +355,11 @@ class Clearances:
         return best
 
     def _place_shapes(self, q: FloatArray) -> None:
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
+        every = self._coupling.positions(q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, every)
 
     def _update_jacobians(self, q: FloatArray) -> None:
-        pin.computeJointJacobians(self._model, self._data, q)
+        pin.computeJointJacobians(self._model, self._data, self._coupling.positions(q))
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
 
     def _distance(self, pair: int) -> float:

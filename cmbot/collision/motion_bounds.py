@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.robot import prismatic_joints, slide_axes
+from cmbot.robot import Robot, prismatic_joints, slide_axes
 
 # When some point of the arm may have moved further than this, m, all pairs are measured again.
 _MAX_MOVE_M = 0.1
@@ -25,7 +25,7 @@ _MAX_COMPARED_POSTURES, _MIN_BOUNDED_POSTURES = 64, 12
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
-    """Largest distance (S, n), m, of any point of a shape from each joint of a serial chain that moves it.
+    """Largest distance (S, m), m, of any point of a shape from each joint of a serial chain that moves it.
 
     It is 1 of the joints that slide.
     """
@@ -49,7 +49,7 @@ def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
 
 
 def pair_reach(reach: FloatArray, joints: Sequence[int], pairs: Sequence[tuple[int, int]]) -> FloatArray:
-    """Reach (P, n), m, of the joints in P pairs of S shapes, from their `shape_reach` and what carries each.
+    """Reach (P, m), m, of the joints in P pairs of S shapes, from their `shape_reach` and what carries each.
 
     No distance changes by more than the joints' moves times it; it is zero where a joint moves both shapes.
     """
@@ -93,12 +93,13 @@ def raise_bounds(distance: FloatArray, measured: BoolArray, covered: FloatArray)
 class DistanceCache:
     """All P distances in the posture measured last, which bound those in postures near it by `pair_reach`."""
 
-    def __init__(self, model: Any, geometry: Any, data: Any, reach: FloatArray) -> None:
+    def __init__(self, robot: Robot, geometry: Any, data: Any, reach: FloatArray) -> None:
+        model, self._coupling = robot.model, robot.coupling
         self._arguments = (model, model.createData(), geometry, data)
         self._reach, self._furthest = reach, reach.max(axis=0, initial=0.0)
         # The list of references is read much faster than the results' own container.
         self._results = list(data.distanceResults)
-        self._q, self._distance = np.full(model.nv, np.nan), np.empty(len(reach))
+        self._q, self._distance = np.full(robot.dof, np.nan), np.empty(len(reach))
         self._asked = self._q
         slides = prismatic_joints(model)
         self._slides = bool(slides.any())
@@ -130,7 +131,7 @@ class DistanceCache:
         return [int(pair) for pair in near[lower[near].argsort()]]
 
     def _measure(self, q: FloatArray) -> None:
-        pin.computeDistances(*self._arguments, q)
+        pin.computeDistances(*self._arguments, self._coupling.positions(q))
         self._q = q.copy()
         self._distance = np.array([result.min_distance for result in self._results])
 
@@ -141,7 +142,8 @@ class DistanceCache:
 
     def _drawn_out(self, *q: FloatArray) -> bool:
         """Whether a joint slides further than its range in any of postures (..., n): reaches hold no more."""
-        return self._slides and any(((each < self._lower) | (each > self._upper)).any() for each in q)
+        every = map(self._coupling.positions, q)
+        return self._slides and any(((each < self._lower) | (each > self._upper)).any() for each in every)
 
     def segments(self, q: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         """Yield segments of postures `q` (N, n), with lower and upper bounds (N', P) of distances."""

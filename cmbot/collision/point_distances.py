@@ -33,7 +33,7 @@ class PointDistances:
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model, self._data, self._coupling = robot.model, robot.model.createData(), robot.coupling
         own = list(robot.collision_model.geometryObjects)
         self._shapes = [(int(one.parentJoint), one.placement, one.geometry) for one in own]
         links = [str(robot.model.frames[one.parentFrame].name) for one in own]
@@ -70,7 +70,7 @@ class PointDistances:
         distance, names = np.full(len(q), np.inf), [("", "")] * len(q)
         # One for all: to make them takes as long as to measure.
         request, result = coal.DistanceRequest(), coal.DistanceResult()
-        for k, posture in enumerate(q):
+        for k, posture in enumerate(self._coupling.positions(q)):
             pin.forwardKinematics(self._model, self._data, posture)
             placed = ((self._data.oMi[joint] * X_JS, shape) for joint, X_JS, shape in self._shapes)
             shapes = [(shape, coal.Transform3s(X_WS.rotation, X_WS.translation)) for X_WS, shape in placed]

@@ -53,8 +53,8 @@ class ElasticArm:
     robot: Robot
     base: ElasticBase | None  # None: the base is rigid
     options: ElasticOptions
-    model: Any  # pinocchio.Model of driven and elastic joints, n + f coordinates
-    driven: IntArray  # (n,), indices of the actuated joints' coordinates, in the order of `robot.joints`
+    model: Any  # pinocchio.Model of driven and elastic joints, m + f coordinates
+    driven: IntArray  # (m,), indices of the coordinates of all the arm's joints, base to tool
     elastic: IntArray  # (f,), indices of the elastic coordinates
     stiffness: FloatArray  # (f, f), of the elastic coordinates, N/m, N/rad, Nm/rad
     damping: FloatArray  # (f, f), Nms/rad: that of joints and base of their own
@@ -87,13 +87,24 @@ class ElasticArm:
         return elastic_arm(self.robot.loaded(load), self.base, options)
 
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
-        """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""
-        joined = np.empty((*q.shape[:-1], self.model.nq))
-        joined[..., self.driven], joined[..., self.elastic] = q, u
+        """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., m + f)."""
+        return self._joined(self.robot.coupling.positions(q), u)
+
+    def rates(self, v: FloatArray, du: FloatArray) -> FloatArray:
+        """Join rates, or accelerations, of joints (..., n) and elastic coordinates (..., f): (..., m + f)."""
+        return self._joined(self.robot.coupling.rates(v), du)
+
+    def _joined(self, joints: FloatArray, u: FloatArray) -> FloatArray:
+        joined = np.empty((*joints.shape[:-1], self.model.nq))
+        joined[..., self.driven], joined[..., self.elastic] = joints, u
         return joined
 
+    def by_joints(self, columns: FloatArray) -> FloatArray:
+        """Return derivatives (..., m + f) by configurations as those by the joint angles (..., n)."""
+        return self.robot.coupling.projected(columns[..., self.driven])
+
     def tool_jacobian(self, configuration: FloatArray, data: Any) -> tuple[Any, FloatArray]:
-        """Return pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`.
+        """Return pose and Jacobian (6, m + f) of the bent arm's tool, as `Kinematics.tool_jacobian`.
 
         `data` is pinocchio's working memory for `model`.
         """

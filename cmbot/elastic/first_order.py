@@ -174,7 +174,7 @@ class FirstOrder:
         self._tool = len(vectors[-1])
         vectors[-1].append(np.array(X.translation))
         self._chain = Chain(arm.robot.model, [np.array(each) for each in vectors])
-        self._fixed_tool = arm.robot.fixed_tool
+        self._coupling, self._fixed_tool = arm.robot.coupling, arm.robot.fixed_tool
         self.count = len(order)
         # The same order in which coordinates follow on each other along the arm.
         K = (
@@ -231,7 +231,8 @@ class FirstOrder:
 
         With a fixed tool, the point of the part that is there.
         """
-        places = [(p.T.copy(), turned.transpose(2, 0, 1)) for p, _, turned in self._chain.walk(q.T)]
+        every = self._coupling.positions(q)
+        places = [(p.T.copy(), turned.transpose(2, 0, 1)) for p, _, turned in self._chain.walk(every.T)]
         if self._fixed_tool is not None:
             return places, np.tile(self._fixed_tool.translation, (len(q), 1))
         return places, places[-1][0] + places[-1][1][:, self._tool]

@@ -59,7 +59,7 @@ def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
         mass[k] = pin.crba(arm.model, data, configuration)
         lever[k] = arm.tool_jacobian(configuration, data)[1][:3, arm.elastic]
     rows = (np.triu(mass) + np.triu(mass, 1).transpose(0, 2, 1))[:, arm.elastic]
-    M, coupling = rows[:, :, arm.elastic] + arm.added_mass, rows[:, :, arm.driven]
+    M, coupling = rows[:, :, arm.elastic] + arm.added_mass, arm.by_joints(rows)
     K = (tangent + tangent.transpose(0, 2, 1)) / 2
     return Linearised(u=u, mass=M, stiffness=K, coupling=coupling, weight=weight, lever=lever)
 

@@ -76,7 +76,7 @@ class Sag:
             rotation[k] = pin.log3(X_WT.rotation @ X_WR.rotation.T)
             # pinocchio's Jacobian of a single joint is a vector.
             J_rigid = J_rigid.reshape(6, n)
-            d_tool[k] = J[:3, arm.driven] + J[:3, arm.elastic] @ du_dq[k] - J_rigid[:3]
+            d_tool[k] = arm.by_joints(J[:3]) + J[:3, arm.elastic] @ du_dq[k] - J_rigid[:3]
         return SagStates(u=u, tool=tool, rotation=rotation, d_tool=d_tool)
 
     def along(self, t: FloatArray, q: FloatArray) -> FloatArray:
@@ -195,7 +195,7 @@ class Sag:
             loads[k], rows[k] = data.tau[arm.elastic], slopes[arm.elastic]
         # One product for each posture: what is found does not depend on how many there are.
         balance = (arm.stiffness @ u[:, :, None])[:, :, 0] + loads
-        return balance, arm.stiffness + rows[:, :, arm.elastic], rows[:, :, arm.driven]
+        return balance, arm.stiffness + rows[:, :, arm.elastic], arm.by_joints(rows)
 
     def _solve(self, q: FloatArray, u: FloatArray, first: int = 0) -> tuple[FloatArray, FloatArray]:
         """Move `u` (N, f) to the equilibria by Newton's method; the balance's derivatives there.

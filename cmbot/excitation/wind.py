@@ -49,7 +49,7 @@ def link_loads(direction: FloatArray, factor: float = 1.0) -> Loads:
         pin.computeJointJacobians(model, data, configuration)
         out, foot = np.zeros(model.nv + 6), np.array(arm.robot.foot_point)
         # Of each link the joint before it, and the last one within it: half of the load moves with either.
-        first = [model.getJointId(name) for name in arm.robot.joints]
+        first = (arm.driven + 1).tolist()
         last = [*(joint - 1 for joint in first[1:]), model.njoints - 1]
         for shape in arm.robot.collision_model.geometryObjects:
             link = shape.parentJoint - 1

@@ -40,6 +40,7 @@ from cmbot.robot.inspection import (
     overview as overview,
 )
 from cmbot.robot.joint_kinds import (
+    Coupling as Coupling,
     JointUnits as JointUnits,
     PostureMetric as PostureMetric,
     joint_units as joint_units,

@@ -18,7 +18,7 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
-from cmbot.robot.description.frames import require_independent, row_of
+from cmbot.robot.description.frames import Following, followed, row_of
 from cmbot.robot.description.hulls import convex_hull, encloses_volume, solid_points
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
@@ -32,7 +32,7 @@ from cmbot.robot.description.mesh_file import (
 )
 from cmbot.robot.description.self_collision import NEAR, near_pairs
 from cmbot.robot.holding_joints import HoldingJoint, holding_joints
-from cmbot.robot.joint_kinds import prismatic_joints
+from cmbot.robot.joint_kinds import Coupling, prismatic_joints
 
 # As many as a posture in a scene file may have.
 _MAX_JOINTS = 100
@@ -50,11 +50,12 @@ class ArmModel:
     """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed.
 
     `read_visual` returns another such model with the visual shapes, whose meshes it reads. `group_states` are
-    the SRDF's that set every joint of the arm, by their names; `unplaced` are sliding joints before the arm
-    that neither it nor `locked` places.
+    the SRDF's that set every joint of the arm that moves by itself, by their names; `coupling` says how the
+    others follow; `unplaced` are sliding joints before the arm that neither it nor `locked` places.
     """
 
     model: Any
+    coupling: Coupling
     collision: Any
     read_visual: Callable[[], tuple[Any, Any]]
     group_states: dict[str, FloatArray]
@@ -79,17 +80,18 @@ def arm_model(
 
     `root` is the content of `urdf` and is modified; `semantics` is that of the SRDF, whose name `srdf` is for
     messages. Its group states are where the other joints are locked, default zero, but for those that
-    `locked` has, rad or m; the pairs that it disables
-    do not collide. Where it disables none, those of neighbouring joints do not, nor those that `near_pairs`
-    finds always near; so also those of the link `tool`, which no SRDF names.
+    `locked` has, rad or m; a joint of the arm that follows one of them is locked, too. The pairs that it
+    disables do not collide. Where it disables none, those of neighbouring joints do not, nor those that
+    `near_pairs` finds always near; so also those of the link `tool`, which no SRDF names.
     """
-    require_independent(root, base_frame, tool_frame, str(urdf))
+    following = followed(root, base_frame, tool_frame, str(urdf))
     built = build_model(urdf, root, package_dirs)
     full = built.model
-    moving = _chain(full, str(urdf), base_frame, tool_frame)
+    chain = _chain(full, str(urdf), base_frame, tool_frame)
+    moving = [i for i in chain if following[full.names[i]].leader in following]
     others = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
-    names = {full.names[i]: full.joints[i].idx_q for i in others}
+    names = {full.names[i]: full.joints[i].idx_q for i in others if i not in chain}
     for name, value in locked.items():
         if name not in names:
             expected = "a joint that turns or slides, and none of the arm's"
@@ -102,6 +104,9 @@ def arm_model(
             expected = f"its range, {lower:.6g} to {upper:.6g} (rad or m)"
             raise ModelError(str(urdf), f"locked.{name}", f"{value:g}", expected)
         stance[names[name]] = value
+    fixed = {i: following[full.names[i]] for i in chain if i not in moving}
+    for i, what in fixed.items():
+        stance[full.joints[i].idx_q] = what.multiplier * stance[names[what.leader]] + what.offset
 
     reduced = partial(_reduced, full, others, stance, str(urdf))
     model, collision = reduced(built.collision)
@@ -109,17 +114,35 @@ def arm_model(
     slides = _locked_slides(full, moving, stance, base_frame)
     in_states = () if semantics is None else semantics.findall("group_state/joint")
     placed = {*locked, *(entry.get("name", "") for entry in in_states)}
+    coupling = _coupling([following[name] for name in model.names[1:]], list(model.names)[1:])
     return ArmModel(
         model=model,
+        coupling=coupling,
         collision=collision,
         read_visual=partial(_visual_model, urdf, root, full, reduced),
-        group_states=_group_states(tuple(model.names)[1:], semantics),
+        group_states=_group_states([model.names[i + 1] for i in coupling.own.tolist()], semantics),
         locked_joints=holding_joints(full, moving, stance, base_frame),
         unplaced=tuple(name for name in slides if name not in placed),
         remarks=(
             *(*absent, *assumed, *_drawn_as_boxes(built.unusable), *_thick(built.flat)),
+            *(
+                f"{full.names[i]} follows {what.leader}, which does not move the arm: it is locked, too."
+                for i, what in fixed.items()
+            ),
             *slides.values(),
         ),
+    )
+
+
+def _coupling(following: Sequence[Following], joints: Sequence[str]) -> Coupling:
+    """How joints follow those among them that move by themselves."""
+    own = [k for k, what in enumerate(following) if what.leader == joints[k]]
+    leaders = [joints[k] for k in own]
+    return Coupling(
+        own=np.array(own, dtype=np.intp),
+        leader=np.array([leaders.index(what.leader) for what in following], dtype=np.intp),
+        multiplier=np.array([what.multiplier for what in following]),
+        offset=np.array([what.offset for what in following]),
     )
 
 

@@ -98,6 +98,7 @@ class Dynamics:
 
     def efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench."""
+        posture, (q, v, a) = q, self._every(q, v, a)
         N, n = q.shape
         # The free-flyer is held at O0: position zero with identity quaternion, no velocity, no acceleration.
         q_f, v_f, a_f = np.zeros((N, 7 + n)), np.zeros((N, 6 + n)), np.zeros((N, 6 + n))
@@ -107,9 +108,10 @@ class Dynamics:
         tau = pin.rneaInParallel(1, self._pool, q_f.T, v_f.T, a_f.T)
         # It returns a single state as a vector. The first six rows are the wrench of the base on the arm.
         tau = tau.reshape(6 + n, N).T
-        joint_torque, force, torque = tau[:, 6:].copy(), -tau[:, :3], -tau[:, 3:6]
+        joint_torque = self.robot.coupling.projected(tau[:, 6:]).copy()
+        force, torque = -tau[:, :3], -tau[:, 3:6]
         if self.robot.pushed:
-            tool = self._postures.tool_at(q)
+            tool = self._postures.tool_at(posture)
             joint_torque += tool.torque_against_push
             force, torque = force + tool.push, torque + tool.push_torque
         return Efforts(joint_torque=joint_torque, guardrail_force=force, guardrail_torque=torque)
@@ -121,8 +123,9 @@ class Dynamics:
 
     def derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
         """Evaluate guardrail torque about O0 in W, then joint torques: 3 + n rows."""
+        q, v, a = self._every(q, v, a)
         N, n = q.shape
-        model, data = self.robot.model, self._data
+        model, data, project = self.robot.model, self._data, self.robot.coupling.projected
         dF_dq, dF_dv, dF_da = data.dFdq, data.dFdv, data.dFda
         # With the force, which is dropped at the end.
         value = np.empty((N, 6 + n))
@@ -137,10 +140,26 @@ class Dynamics:
                 # From the origin of W to O0.
                 part[:, 3:6] -= cross(self._foot_point, part[:, :3].swapaxes(1, 2)).swapaxes(1, 2)
             part[:, 3:6] *= -1.0
-        return EffortDerivatives(value=value[:, 3:], d_q=d_q[:, 3:], d_v=d_v[:, 3:], d_a=d_a[:, 3:])
+        value, *slopes = (self._projected(each[:, 3:]) for each in (value, d_q, d_v, d_a))
+        d_q, d_v, d_a = map(project, slopes)
+        return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
+
+    def _every(self, *states: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """A state (N, m) of all joints."""
+        q, v, a = states
+        coupling = self.robot.coupling
+        return coupling.positions(q), coupling.rates(v), coupling.rates(a)
+
+    def _projected(self, rows: FloatArray) -> FloatArray:
+        """Rows (N, 3 + n, ...) of the base's torque and of the coordinates', by those of all joints."""
+        coupling = self.robot.coupling
+        if coupling.is_free:
+            return rows
+        return np.concatenate([rows[:, :3], coupling.projected(rows[:, 3:], axis=1)], axis=1)
 
     def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
         """Evaluate the wrench on the guardrail about O0 in W: 6 rows, force then torque."""
+        q, v, a = self._every(q, v, a)
         N, n = q.shape
         model, data = self.robot.model, self._data
         # For the derivatives of the joint torques pinocchio computes each joint's contribution to the forces
@@ -157,5 +176,6 @@ class Dynamics:
             if self._foot_point.any():
                 array[..., 3:] -= cross(self._foot_point, array[..., :3])
             array *= -1.0
-        d_q, d_v, d_a = (array.transpose(0, 2, 1) for array in (d_q, d_v, d_a))
+        project = self.robot.coupling.projected
+        d_q, d_v, d_a = (project(array.transpose(0, 2, 1)) for array in (d_q, d_v, d_a))
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)

@@ -119,20 +119,24 @@ class Elasticity(NamedTuple):
     locked: dict[str, JointElasticity]
 
 
-def read_elasticity(path: Path, model: Any, slides: Collection[str]) -> Elasticity:
-    """Read what bends of an arm and of the joints that are locked beside it; `slides` are those that slide.
+def read_elasticity(
+    path: Path, model: Any, slides: Collection[str], paired: Collection[str] = ()
+) -> Elasticity:
+    """Read what bends of an arm and of the joints that are locked beside it.
+
+    `slides` are those that slide, `paired` those that follow another or are followed: neither give way.
 
     What belongs to a link that does not move with the arm is checked and left out.
     """
     with lines_named(path):
         data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
-        springs, given = _joints(data, path, model, slides), data.joints or {}
+        springs, given = _joints(data, path, model, slides, paired), data.joints or {}
         locked = {name: given[name] for name in given if name not in springs}
         return Elasticity(_tubes(data, path, model), springs, locked)
 
 
 def _joints(
-    data: _ElasticityFile, path: Path, model: Any, slides: Collection[str]
+    data: _ElasticityFile, path: Path, model: Any, slides: Collection[str], paired: Collection[str]
 ) -> dict[str, JointElasticity]:
     given = data.joints or {}
     kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
@@ -144,6 +148,9 @@ def _joints(
         if name in slides:
             expected = "one that turns: below a lift base.tube or guardrail.stiffness of a scene gives way"
             raise ModelError(str(path), f"joints.{name}", "a joint that slides", expected)
+        if name in paired:
+            expected = "one that neither follows another nor is followed: leave it out, its linkage is rigid"
+            raise ModelError(str(path), f"joints.{name}", "a joint of a linkage (mimic)", expected)
     return {name: given[name] for name in moving if name in given}
 
 

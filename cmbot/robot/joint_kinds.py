@@ -1,6 +1,6 @@
 """Kinds of joints: they turn, in rad and Nm, or slide, in m and N; and how far postures of both are apart.
 
-All that depends on the kind of a joint asks this module.
+All that depends on the kind of a joint asks this module, also which joints follow others.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
 _TURN = 2 * np.pi
 
@@ -38,6 +38,75 @@ def turn_axis(joint: Any) -> FloatArray:
     data = joint.createData()
     joint.calc(data, np.ones(joint.idx_q + joint.nq))
     return np.asarray(data.S, dtype=np.float64).reshape(6)[3:]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coupling:
+    """How the m joints of an arm follow its n coordinates: ``q_full = G q + g``.
+
+    Where no joint follows another m is n, and all here returns what it is given.
+
+    Attributes
+    ----------
+    own : (n,)
+        Number of the joint that has each coordinate, base to tool.
+    leader : (m,)
+        Number of the coordinate that each joint follows: its own, where it has one.
+    multiplier, offset : (m,)
+        The one row of G and of g, rad/rad and rad, m with joints that slide.
+    """
+
+    own: IntArray
+    leader: IntArray
+    multiplier: FloatArray
+    offset: FloatArray
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no joint follows another."""
+        return len(self.own) == len(self.leader)
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """G (m, n)."""
+        return np.eye(len(self.own))[self.leader] * self.multiplier[:, None]
+
+    @cached_property
+    def paired(self) -> BoolArray:
+        """Which joints (m,) follow another, or are followed."""
+        return np.asarray(np.bincount(self.leader)[self.leader] > 1)
+
+    def positions(self, q: FloatArray) -> FloatArray:
+        """Return the positions (..., m) of all joints in postures (..., n)."""
+        return q if self.is_free else q[..., self.leader] * self.multiplier + self.offset
+
+    def rates(self, v: FloatArray) -> FloatArray:
+        """Return velocities (..., m) of all joints, or what else is linear, by the coordinates' (..., n)."""
+        return v if self.is_free else v[..., self.leader] * self.multiplier
+
+    def projected(self, rows: FloatArray, axis: int = -1) -> FloatArray:
+        """Return derivatives by all joints, or torques, as those of the coordinates: ``J G``, ``G' tau``.
+
+        `rows` have the m joints along `axis`.
+        """
+        if self.is_free:
+            return rows
+        return np.asarray(np.moveaxis(np.moveaxis(rows, axis, -1) @ self.matrix, -1, axis))
+
+    def summed(self, bounds: FloatArray) -> FloatArray:
+        """Return bounds (..., m) on the effects of all joints as the coordinates' (..., n): times ``|G|``."""
+        if self.is_free:
+            return bounds
+        sums = np.zeros((*bounds.shape[:-1], len(self.own)))
+        # Not as a product: a bound may be infinite.
+        for k, (leader, factor) in enumerate(zip(self.leader, np.abs(self.multiplier), strict=True)):
+            sums[..., leader] += factor * bounds[..., k]
+        return sums
+
+    def ranges(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the ends (m,) of the joints' positions between those of the coordinates (n,)."""
+        ends = self.positions(lower), self.positions(upper)
+        return np.minimum(*ends), np.maximum(*ends)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray, cross, read_only
-from cmbot.robot.joint_kinds import prismatic_joints
+from cmbot.robot.joint_kinds import Coupling, prismatic_joints
 from cmbot.robot.robot import Robot
 
 # Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
@@ -120,10 +120,12 @@ class ToolBatch:
     q : (N, n), rad
     tool_point : (N, 3), m
     tool_rotation : (N, 3, 3)
-    axis, origin : (N, n, 3)
-        Direction of each joint's axis and a point on it, m.
-    prismatic : (n,)
-        Which joints slide.
+    axis, origin : (N, m, 3)
+        Direction of the axis of each of all joints and a point on it, m.
+    prismatic : (m,)
+        Which of them slide.
+    coupling : Coupling
+        How they follow `q`.
     tool_force : (3,), N
         That acts on the tool, along its axes; zero with the tool off.
     foot_point : (3,), m
@@ -138,6 +140,7 @@ class ToolBatch:
     axis: FloatArray
     origin: FloatArray
     prismatic: BoolArray
+    coupling: Coupling
     tool_force: FloatArray
     foot_point: FloatArray
     part: HeldPart | None = None
@@ -148,14 +151,20 @@ class ToolBatch:
         These are (N, 3, n), m/s/rad or 1/s; those by the rates are the first rows of the Jacobian.
         """
         # From a part to a fixed tool the chain begins with the last joint.
-        J, step = self.leading_jacobian.transpose(0, 2, 1), 1 if self.part is None else -1
+        # A subclass may add to the coordinates' Jacobian what moves the point beside the joints.
+        each = self.leading_jacobian if self.coupling.is_free else self._joints_jacobian
+        J, step = each.transpose(0, 2, 1), 1 if self.part is None else -1
         linear, angular = np.split(J[..., ::step], 2)
-        moved, turned = (each * v[:, ::step] for each in (linear, angular))
+        moved, turned = (each * self.coupling.rates(v)[:, ::step] for each in (linear, angular))
         # A joint turns what the joints from it on add, and is turned by the joints before it.
         beyond = np.cumsum(moved[..., ::-1], axis=2)[..., ::-1]
         before = np.cumsum(turned, axis=2) - turned
         d_q = np.cross(angular, beyond, axis=0) + np.cross(before, linear, axis=0)
-        return moved.sum(axis=2).T, np.asarray(d_q.transpose(1, 0, 2)[..., ::step])
+        slopes = np.asarray(d_q.transpose(1, 0, 2)[..., ::step])
+        if self.coupling.is_free:
+            return moved.sum(axis=2).T, slopes
+        velocity = np.einsum("ijk,kj->ki", self.leading_jacobian[:3], v)
+        return velocity, self.coupling.projected(slopes)
 
     @cached_property
     def push(self) -> FloatArray:
@@ -180,6 +189,11 @@ class ToolBatch:
     @cached_property
     def leading_jacobian(self) -> FloatArray:
         """The same with components first, as it is computed: (6, n, N)."""
+        return self.coupling.projected(self._joints_jacobian, axis=1)
+
+    @cached_property
+    def _joints_jacobian(self) -> FloatArray:
+        """That of all joints: (6, m, N)."""
         a = self.axis.transpose(2, 1, 0)
         point = self.tool_point.T if self.part is None else self.part.tool_point[:, None]
         arm = (point - self.origin.transpose(1, 2, 0)).transpose(1, 0, 2)
@@ -203,9 +217,9 @@ class PostureBatch(ToolBatch):
 
     Attributes
     ----------
-    centre : (N, n, 3), m
+    centre : (N, m, 3), m
         Centre of mass of each joint's body.
-    mass : (n,), kg
+    mass : (m,), kg
     gravity : (3,), m/s2
     """
 
@@ -240,12 +254,12 @@ class PostureBatch(ToolBatch):
         carried = np.cumsum(self.mass[::-1])[::-1]
         for i in np.flatnonzero(self.prismatic):
             about[i] = -carried[i] * self.gravity[:, None]
-        torque = np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
+        torque = self.coupling.projected((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
         return torque + self.torque_against_push if self.tool_force.any() else torque
 
     @cached_property
     def carried_moment(self) -> FloatArray:
-        """First moment (n, 3, N), kg m, about each joint's origin of all mass from that joint to the tool."""
+        """First moment (m, 3, N), kg m, about each joint's origin of all mass from that joint to the tool."""
         moment = self.mass[:, None, None] * self.centre.transpose(1, 2, 0)
         for i in reversed(range(len(moment) - 1)):
             moment[i] += moment[i + 1]
@@ -273,7 +287,8 @@ class Postures:
 
     def __init__(self, robot: Robot) -> None:
         X_JT = robot.model.frames[robot.tool_frame_id].placement
-        self._model = robot.model
+        self._model, self._coupling = robot.model, robot.coupling
+        self._prismatic = prismatic_joints(robot.model)
         self._tool = np.column_stack([X_JT.rotation, X_JT.translation]).T
         bodies = list(robot.model.inertias)[1:]
         self._levers = np.array([body.lever for body in bodies])
@@ -281,7 +296,9 @@ class Postures:
         self._gravity = np.array(robot.model.gravity.linear)
         self._tool_force = np.array(robot.tool_force)
         self._fixed_tool, self._foot_point = robot.fixed_tool, np.array(robot.foot_point)
-        self.bend = 0.5 * max(robot.reach, robot.levers.max(), _ROTATION_CURVATURE)
+        # A move of one joint by one is one of those that follow it, too.
+        moved = float(self._coupling.summed(np.ones(len(bodies))).max())
+        self.bend = 0.5 * max(robot.reach, robot.levers.max(), _ROTATION_CURVATURE) * moved**2
         self.metric = robot.metric
 
     @cached_property
@@ -296,7 +313,11 @@ class Postures:
     def geometry(self) -> tuple[bytes, ...]:
         """What `tool_at`, `bend` and `metric` follow from: equal for equal arms, whatever they weigh."""
         chain, metric = self._tool_only, self.metric
-        numbers = (self._tool, np.array([self.bend, metric.length]), metric.prismatic)
+        follow = self._coupling
+        numbers = (
+            *(self._tool, np.array([self.bend, metric.length]), metric.prismatic),
+            *(follow.leader, follow.multiplier, follow.offset),
+        )
         placed = () if self._fixed_tool is None else (self._fixed_tool.homogeneous,)
         return (
             *(step.tobytes() for step, _ in chain.steps),
@@ -305,7 +326,7 @@ class Postures:
 
     def at(self, q: FloatArray) -> PostureBatch:
         """Evaluate postures `q` (N, n)."""
-        centre = np.empty((q.shape[1], 3, len(q)))
+        centre = np.empty((len(self._mass), 3, len(q)))
         tool = self._evaluate(self._chain, q, centre)
         return PostureBatch(**tool, centre=centre.transpose(2, 0, 1), mass=self._mass, gravity=self._gravity)
 
@@ -314,12 +335,12 @@ class Postures:
         return ToolBatch(**self._evaluate(self._tool_only, q))
 
     def _evaluate(self, chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, Any]:
-        """The fields of a `ToolBatch`; the centres of mass (n, 3, N) are written to `centre`."""
-        N, n = q.shape
-        tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
+        """The fields of a `ToolBatch`; the centres of mass (m, 3, N) are written to `centre`."""
+        every, N = self._coupling.positions(q), len(q)
+        tool, axis, origin = np.empty((4, 3, N)), *np.empty((2, every.shape[1], 3, N))
         for start in range(0, N, _POSTURES_PER_BLOCK):
             block = slice(start, start + _POSTURES_PER_BLOCK)
-            for i, (p, along, turned) in enumerate(chain.walk(q[block].T)):
+            for i, (p, along, turned) in enumerate(chain.walk(every[block].T)):
                 axis[i, :, block], origin[i, :, block] = along, p
                 if centre is not None:
                     np.add(p, turned[-1], out=centre[i, :, block])
@@ -337,7 +358,8 @@ class Postures:
             "tool_rotation": rotation,
             "axis": axis.transpose(2, 0, 1),
             "origin": origin.transpose(2, 0, 1),
-            "prismatic": self.metric.prismatic,
+            "prismatic": self._prismatic,
+            "coupling": self._coupling,
             "tool_force": self._tool_force,
             "foot_point": self._foot_point,
         }
@@ -371,7 +393,7 @@ class Kinematics:
 
     def _end_pose(self, q: FloatArray) -> Any:
         """Pose in W of the robot's tool frame, which has the part where the tool is fixed."""
-        pin.forwardKinematics(self.robot.model, self._data, q)
+        pin.forwardKinematics(self.robot.model, self._data, self.robot.coupling.positions(q))
         return pin.updateFramePlacement(self.robot.model, self._data, self._tool).copy()
 
     def in_world(self, q: FloatArray, points: FloatArray) -> FloatArray:
@@ -395,9 +417,10 @@ class Kinematics:
         The Jacobian's rows are the velocity of the tool point, m/rad, then the angular velocity, both in W
         (Chang 2021, Eq. (15)).
         """
-        model, data = self.robot.model, self._data
-        J = pin.computeFrameJacobian(model, data, q, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return self.robot.tool_seen(pin.updateFramePlacement(model, data, self._tool).copy(), J)
+        model, data, every = self.robot.model, self._data, self.robot.coupling.positions(q)
+        J = pin.computeFrameJacobian(model, data, every, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        X_WE = pin.updateFramePlacement(model, data, self._tool).copy()
+        return self.robot.tool_seen(X_WE, self.robot.coupling.projected(J))
 
     def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""
@@ -414,8 +437,8 @@ class Kinematics:
         """Centre of mass (3,) of the moving arm, m, in W, and its Jacobian (3, n) at `q` (n,)."""
         model, data = self.robot.model, self._data
         # pinocchio leaves the universe's inertia out: this is the arm's centre of mass alone.
-        J = pin.jacobianCenterOfMass(model, data, q)
-        return data.com[0].copy(), J.copy()
+        J = pin.jacobianCenterOfMass(model, data, self.robot.coupling.positions(q))
+        return data.com[0].copy(), self.robot.coupling.projected(J).copy()
 
 
 def link_poses(robot: Robot, q: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
@@ -426,7 +449,7 @@ def link_poses(robot: Robot, q: FloatArray) -> tuple[tuple[str, ...], FloatArray
     model, data = robot.model, robot.model.createData()
     links = [k for k, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
     poses = np.empty((len(q), len(links), 7))
-    for i, q_i in enumerate(q):
+    for i, q_i in enumerate(robot.coupling.positions(q)):
         pin.framesForwardKinematics(model, data, q_i)
         for j, link in enumerate(links):
             poses[i, j] = pin.SE3ToXYZQUAT(data.oMf[link])

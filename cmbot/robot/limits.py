@@ -30,7 +30,7 @@ from cmbot.robot.description.limits_file import (
     MoveItLimitsFile,
     read_joint_limits,
 )
-from cmbot.robot.joint_kinds import JointUnits, joint_units, prismatic_joints
+from cmbot.robot.joint_kinds import Coupling, JointUnits, joint_units, prismatic_joints
 
 ASSUMED_ACCELERATION = 2.0
 """Acceleration limit that is assumed where none is given, as a share of the velocity limit, 1/s."""
@@ -181,11 +181,14 @@ class JointLimits(ShortRepr):
         return turned
 
 
-def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits, tuple[str, ...]]:
+def joint_limits(
+    model: Any, coupling: Coupling, urdf: Path, path: Path | None
+) -> tuple[JointLimits, tuple[str, ...]]:
     """Join the limits in the model of an arm, from `urdf`, and those in the joint-limits file `path`.
 
-    A file of cmbot's replaces what the URDF says; one of MoveIt's narrows it. Returns the limits, and remarks
-    on what had to be assumed.
+    A file of cmbot's replaces what the URDF says; one of MoveIt's narrows it. Ranges and rates that are given
+    of joints which follow others narrow those of the joints that they follow; a torque is that of the joint
+    with the drive. Returns the limits, and remarks on what had to be assumed.
     """
     listed = JointLimitsFile(format="cmbot-joint-limits/1") if path is None else read_joint_limits(path)
     names, prismatic = list(model.names)[1:], prismatic_joints(model)
@@ -200,21 +203,32 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
     )
     rates = {"velocity": velocity, "acceleration": acceleration, "jerk": jerk, "torque": torque}
     unknown = {name: ~(rate >= LEAST_LIMIT) for name, rate in rates.items()}
-    velocity = np.where(
-        unknown["velocity"], np.where(prismatic, _ASSUMED_SLIDING, _ASSUMED_TURNING), velocity
-    )
-    acceleration = np.where(unknown["acceleration"], ASSUMED_ACCELERATION * velocity, acceleration)
     lower, upper = _range(model, urdf, given, prismatic)
+    own = coupling.own
+
+    def joined(name: str, assumed: FloatArray) -> FloatArray:
+        """What a joint may do, given or assumed, and what those that follow it may, where that is given."""
+        most = np.where(unknown[name][own], assumed, rates[name][own])
+        each = np.where(unknown[name], np.inf, rates[name] / np.abs(coupling.multiplier))
+        np.minimum.at(most, coupling.leader, each)
+        return most
+
+    velocity = joined("velocity", np.where(prismatic[own], _ASSUMED_SLIDING, _ASSUMED_TURNING))
+    acceleration = joined("acceleration", ASSUMED_ACCELERATION * velocity)
+    stretched = coupling.summed(_stretched_efforts(model, lower, upper))
+    lower, upper = _led_range(coupling, lower, upper, names, urdf)
+    assumed = _are_assumed(unknown, given, by_file=listed.assumed)
     limits = JointLimits(
         lower=lower,
         upper=upper,
         velocity=velocity,
         acceleration=acceleration,
-        jerk=np.where(unknown["jerk"], ASSUMED_JERK * acceleration, jerk),
-        torque=np.where(unknown["torque"], _stretched_efforts(model, lower, upper), torque),
-        prismatic=prismatic,
-        **_are_assumed(unknown, given, by_file=listed.assumed),
+        jerk=joined("jerk", ASSUMED_JERK * acceleration),
+        torque=np.where(unknown["torque"][own], stretched, torque[own]),
+        prismatic=prismatic[own],
+        **{name: each[own] for name, each in assumed.items()},
     )
+    unknown = {name: none[own] for name, none in unknown.items()}
     told = (*_said_by_moveit(listed, path, given), *_assumed(unknown))
     if listed.assumed:
         told += (f"{_named(unknown, given)} limits in {path} are assumed: it says assumed: true.",)
@@ -290,6 +304,23 @@ def _range(
             expected = "lower < upper; a joint that does not move has the type fixed"
             raise ModelError(str(urdf), f"joint[{name}].limit", got, expected)
     return lower, upper
+
+
+def _led_range(
+    coupling: Coupling, lower: FloatArray, upper: FloatArray, names: Sequence[str], urdf: Path
+) -> tuple[FloatArray, FloatArray]:
+    """The ranges (n,) in which coordinates keep all joints that follow them within their own ones (m,)."""
+    ends = (np.array([lower, upper]) - coupling.offset) / coupling.multiplier
+    least, most = lower[coupling.own], upper[coupling.own]
+    np.maximum.at(least, coupling.leader, ends.min(axis=0))
+    np.minimum.at(most, coupling.leader, ends.max(axis=0))
+    for k in np.flatnonzero(~(least < most)[coupling.leader]).tolist():
+        leader = names[int(coupling.own[coupling.leader[k]])]
+        if names[k] != leader:
+            got = f"a range, {lower[k]:g} to {upper[k]:g}, that leaves {leader} none"
+            expected = "limits within which both move, by multiplier and offset"
+            raise ModelError(str(urdf), f"joint[{names[k]}].mimic", got, expected)
+    return least, most
 
 
 def _stretched_efforts(model: Any, lower: FloatArray, upper: FloatArray) -> FloatArray:

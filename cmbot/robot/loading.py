@@ -82,8 +82,9 @@ def load_robot(
     """Load a robot from its URDF.
 
     The joints between `base_frame` and `tool_frame` move; every other joint is locked at its value in the
-    SRDF's ``group_state``, else at zero. A collision mesh is replaced by its convex hull: a clearance with it
-    is never overestimated.
+    SRDF's ``group_state``, else at zero. A joint that follows another one of the arm (``mimic``) moves with
+    it and is none of a posture's; where that one is locked, so is it. A collision mesh is replaced by its
+    convex hull: a clearance with it is never overestimated.
 
     Parameters
     ----------
@@ -137,8 +138,8 @@ def load_robot(
     ------
     ModelError
         When a file is missing or unusable, a frame does not exist or has to be chosen, a joint of the arm
-        neither turns nor slides by itself, the arm has no mass or more than 100 joints, or a number is beyond
-        any robot's.
+        neither turns nor slides or follows no joint that does, the arm has no mass or more than 100 joints,
+        or a number is beyond any robot's.
     MissingExtra
         When `model` is xacro or could be a robot's name, and the extra for it is not installed.
 
@@ -280,17 +281,20 @@ class _Description:
         arm, collision = made.model, placement.applied(made.model, made.collision)
         attach_payload(arm, placement.carrier, payload)
         self._require_mass(arm)
-        limited, assumed = joint_limits(arm, files.urdf, files.limits)
+        limited, assumed = joint_limits(arm, made.coupling, files.urdf, files.limits)
         bends = Elasticity({}, {}, {})
         if files.elasticity is not None:
             sliding = self.root.iterfind("joint[@type='prismatic']")
-            bends = read_elasticity(files.elasticity, arm, {joint.get("name", "") for joint in sliding})
+            slides = {joint.get("name", "") for joint in sliding}
+            paired = np.array(list(arm.names)[1:])[made.coupling.paired]
+            bends = read_elasticity(files.elasticity, arm, slides, set(paired.tolist()))
         held = _held(files)
         return Robot(
             name=self.root.get("name", files.urdf.stem),
             urdf=files.urdf.resolve(),
             description=self.completed,
             model=arm,
+            coupling=made.coupling,
             collision_model=collision,
             read_visual_model=partial(placement.drawn, made.read_visual),
             limits=limited,

@@ -22,7 +22,7 @@ from cmbot.robot.arm_model import attach_payload
 from cmbot.robot.description.completion import Lift
 from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.holding_joints import HoldingJoint, holding_rows, leg_compliance
-from cmbot.robot.joint_kinds import PostureMetric, slide_axes
+from cmbot.robot.joint_kinds import Coupling, PostureMetric, prismatic_joints, slide_axes
 from cmbot.robot.limits import JointLimits
 
 # Least length, m, by which moves of joints that slide are measured.
@@ -47,14 +47,17 @@ class Robot:
     description : str
         The content of that file with what was added to it, masses or a tool; empty where nothing was.
     model : pinocchio.Model
-        The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move, but
+        The arm with all its m joints, also those that follow others: it takes ``coupling.positions(q)``.
+        Fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move, but
         for what stands on the floor.
+    coupling : Coupling
+        How the m joints follow the n of a posture; m is n where none follows another.
     collision_model : pinocchio.GeometryModel
         Collision shapes and the pairs of them that may collide.
     read_visual_model : callable
         Reads what `visual_model` is; no plan needs it.
     limits : JointLimits
-        Of the n joints of the arm.
+        Of the n joints of a posture: those that move by themselves.
     group_states : mapping of str to (n,) array
         Postures by the names that the SRDF gives them, such as ``stow``: where the arm is put away.
     elasticity : mapping of str to LinkTube
@@ -100,6 +103,7 @@ class Robot:
     urdf: Path
     description: str
     model: Any
+    coupling: Coupling
     collision_model: Any
     read_visual_model: Callable[[], Any]
     limits: JointLimits
@@ -201,13 +205,13 @@ class Robot:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the arm's joints, base to tool."""
-        return tuple(self.model.names)[1:]
+        """Names of the n joints of a posture, base to tool: those that follow others are left out."""
+        return tuple(self.model.names[i + 1] for i in self.coupling.own.tolist())
 
     @property
     def dof(self) -> int:
-        """Number n of the arm's joints."""
-        return int(self.model.nv)
+        """Number n of the joints of a posture."""
+        return len(self.coupling.own)
 
     @property
     def tool_frame_id(self) -> int:
@@ -251,7 +255,8 @@ class Robot:
         Each joint moves it no further than the joint's own way times the longest distance at which that
         carries the tool; and in a time T no further than by v T, a T^2 / 4 and j T^3 / 32.
         """
-        each, limits = np.where(self.limits.prismatic, 1.0, self.levers), self.limits
+        slides, limits = prismatic_joints(self.model), self.limits
+        each = self.coupling.summed(np.where(slides, 1.0, self.levers))
 
         def beyond(T: float) -> float:
             ways = limits.velocity * T, limits.acceleration * T**2 / 4, limits.jerk * T**3 / 32
@@ -264,7 +269,7 @@ class Robot:
 
     @property
     def levers(self) -> FloatArray:
-        """Longest distances (n,), m, of the tool point from the joints, as far as the links may lead."""
+        """Longest distances (m,), m, of the tool point from all joints, as far as the links may lead."""
         longest = self._link_lengths[1]
         if self.fixed_tool is None:
             return np.asarray(np.cumsum(longest[:0:-1])[::-1])
@@ -272,11 +277,10 @@ class Robot:
 
     @property
     def _link_lengths(self) -> tuple[FloatArray, FloatArray]:
-        """Least and largest distances (n + 1,), m, from each joint to the next; see `_steps`."""
+        """Least and largest distances (m + 1,), m, from each joint to the next; see `_steps`."""
         slides, steps = slide_axes(self.model), self._steps()
-        lower, upper = (
-            np.where(self.limits.prismatic, end, 0.0) for end in (self.limits.lower, self.limits.upper)
-        )
+        ends = self.coupling.ranges(self.limits.lower, self.limits.upper)
+        lower, upper = (np.where(prismatic_joints(self.model), end, 0.0) for end in ends)
         nearest = np.clip(-np.einsum("ij,ij->i", steps[:-1], slides), lower, upper)
         each = [
             np.linalg.norm(steps + np.vstack([way[:, None] * slides, np.zeros(3)]), axis=1)
@@ -291,7 +295,7 @@ class Robot:
         return PostureMetric(prismatic=self.limits.prismatic, length=max(length, _MIN_PRISMATIC_SCALE_M))
 
     def _steps(self) -> FloatArray:
-        """From each joint of the arm, at zero, to the next (n + 1, 3), m: first nothing, last to the tool."""
+        """From each joint of the arm, at zero, to the next (m + 1, 3), m: first nothing, last to the tool."""
         steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
         return np.array([np.zeros(3), *steps, self.model.frames[self.tool_frame_id].placement.translation])
 

@@ -23,7 +23,7 @@ from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, Elastic
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, held_guardrail, held_point, require_plan, robot_of
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import Coupling, Kinematics, Robot
 from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated_base
 from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
@@ -335,6 +335,8 @@ def track_work(
     if is_executed(options):
         curve, moved = executed(work, options)
         motions = list(moved)
+    if not arm.robot.coupling.is_free:
+        motions = [_OfAllJoints(motion, arm.robot.coupling) for motion in motions]
     system = ElasticSystem.of(arm, modes.damping(options.damping_or(arm.robot.damping_ratio)) + arm.damping)
     if ground is not None:
         system, motions, forces = on_accelerated_base(system, motions, forces, ground)
@@ -361,6 +363,22 @@ def track_work(
     execution = execution_error(arm.robot, work, t, options, curve)
     base = None if arm.base is None else _base(arm, u, held)
     return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution, base)
+
+
+@dataclass(frozen=True)
+class _OfAllJoints:
+    """A motion of all joints, of which some follow those of `motion`."""
+
+    motion: DrivenMotion
+    coupling: Coupling
+
+    @property
+    def duration(self) -> float:
+        return self.motion.duration
+
+    def states(self, times: FloatArray, /) -> tuple[FloatArray, FloatArray, FloatArray]:
+        q, v, a = self.motion.states(times)
+        return self.coupling.positions(q), self.coupling.rates(v), self.coupling.rates(a)
 
 
 def _base(arm: ElasticArm, u: FloatArray, held: Sequence[float] | None) -> FloatArray:

@@ -205,9 +205,8 @@ class BaseArm:
     def _carried(at: PostureBatch, stance: IntArray, loads: StanceLoads) -> FloatArray:
         """Torques (N, n) of the joints by the weight that they carry."""
         carried = at.carried_moment.transpose(2, 0, 1)
-        return np.asarray(
-            np.einsum("kni,kni->kn", at.axis, np.cross(loads.gravity[stance][:, None], carried))
-        )
+        weight = np.cross(loads.gravity[stance][:, None], carried)
+        return at.coupling.projected(np.einsum("kni,kni->kn", at.axis, weight))
 
     def _ranked(
         self, q: FloatArray, stance: IntArray, wrench: FloatArray, push: FloatArray, loads: StanceLoads
@@ -307,7 +306,7 @@ class BaseArm:
         moved = np.cross(at.axis, at.carried_moment.transpose(2, 0, 1))
         torques = np.cross(moved, loads.gravity[of][:, None])
         by_torque = loads.slope(of, wrench, at.tool_point)
-        return np.asarray(np.einsum("kni,ki->kn", torques, by_torque))
+        return at.coupling.projected(np.einsum("kni,ki->kn", torques, by_torque))
 
     def _along_self_motion(self, task: ToolTask, q: FloatArray, slope: FloatArray) -> FloatArray:
         at = self.postures.tool_at(q)

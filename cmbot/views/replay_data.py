@@ -195,7 +195,7 @@ class Frames:
             "clearance": pack(np.interp(times, samples.t, samples.clearance)),
             "near": pack(near),
             "pair": pack(pair),
-            "q": pack(q),
+            "q": pack(self._robot.coupling.positions(q)),
             "u": None if u is None else pack(u),
             "load": pack(load),
             "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),

@@ -418,7 +418,7 @@ def test_distances_beside_a_measured_one_are_enclosed(cmbot_robot: Robot, rng: n
     geometry, data = cmbot_robot.collision_model, cmbot_robot.collision_model.createData()
     for request in data.distanceRequests:
         request.gjk_tolerance = 1e-9
-    cache = DistanceCache(cmbot_robot.model, geometry, data, clearances.pair_reach)
+    cache = DistanceCache(cmbot_robot, geometry, data, clearances.pair_reach)
     q = np.array([0.6, -1.2, 1.4, 0.7, 0.9, -0.8, 1.1]) + np.cumsum(rng.normal(size=(90, 7)) * 2e-3, axis=0)
     distance = all_distances(clearances, q).T
     seen = 0
@@ -453,7 +453,7 @@ def test_all_pairs_are_measured_in_the_second_of_two_near_postures(cmbot_robot: 
     """In the first, and in one far from that before, too little is known for it to be worth that."""
     clearances = Clearances(cmbot_robot, ())
     geometry = cmbot_robot.collision_model
-    cache = DistanceCache(cmbot_robot.model, geometry, geometry.createData(), clearances.pair_reach)
+    cache = DistanceCache(cmbot_robot, geometry, geometry.createData(), clearances.pair_reach)
     q = np.array([0.6, -1.2, 1.4, 0.7, 0.9, -0.8, 1.1])
     assert cache.near(q, 0.1) is None
     assert cache.near(-q, 0.1) is None
@@ -486,7 +486,7 @@ def test_no_point_is_further_from_a_joint_than_its_reach(any_arm: Robot, random_
                 far = np.linalg.norm(centre - data.oMi[int(joint)].translation)
                 assert far + shape.geometry.aabb_radius <= bounds[joint - 1] + 1e-9
     geometry = pin.GeometryModel(any_arm.collision_model)
-    cache = DistanceCache(model, geometry, geometry.createData(), Clearances(any_arm, ()).pair_reach)
+    cache = DistanceCache(any_arm, geometry, geometry.createData(), Clearances(any_arm, ()).pair_reach)
     near = stretched + 1e-5 * np.arange(20)[:, None] * np.where(slides, -1, 1)
     assert cache.suits(near)
     assert not cache.suits(near[:1] + 0.1 * np.arange(20)[:, None] * np.where(slides, -1, 1))

@@ -11,14 +11,13 @@ from typing import Any
 
 import coal
 import numpy as np
-import pinocchio as pin
 import pytest
 from command_line import refusal, run
 from robot_files import replace
 from urdf_arms import limits_file
 
 from cmbot.common.errors import MissingExtra, ModelError, SceneError
-from cmbot.robot import Dynamics, Kinematics, Robot, inspect_urdf, load_robot, parse_urdf, robot_files
+from cmbot.robot import Dynamics, Robot, inspect_urdf, load_robot, parse_urdf, robot_files
 from cmbot.robot.description.limits_file import JointEntry
 from cmbot.scene import load_scene
 
@@ -112,60 +111,15 @@ def test_grippers_and_what_else_is_not_the_arms_are_locked(tmp_path: Path) -> No
     assert robot.arm_mass == pytest.approx(7.0)
     with pytest.raises(ModelError, match=r"joint\[cup_joint\].type: got floating, expected an arm of"):
         load_robot(file, base_frame="base", tool_frame="cup")
-    with pytest.raises(ModelError, match=r"joint\[finger_joint_2\].mimic: got a joint that follows"):
-        load_robot(file, base_frame="base", tool_frame="finger_2")
+    # A finger that follows one which does not move the tool does not move either.
+    finger = load_robot(file, base_frame="base", tool_frame="finger_2", locked={"finger_joint_1": 0.3})
+    assert finger.joints == ("joint_1", "joint_2", "joint_3")
+    assert any(each.startswith("finger_joint_2 follows finger_joint_1, which") for each in finger.remarks)
+    shut = load_robot(file, base_frame="base", tool_frame="finger_2")
+    frames = [each.model.frames[each.tool_frame_id].placement.translation for each in (finger, shut)]
+    np.testing.assert_allclose(frames[0] - frames[1], [0, 0.3, 0], atol=1e-12)
     with pytest.raises(ModelError, match=r"joint\[wheel\]: got the name of a link"):
         load_robot(file, base_frame="base", tool_frame="wheel")
-
-
-def test_what_is_advised_of_a_joint_that_follows_does(tmp_path: Path) -> None:
-    file = Path(__file__).parent / "foreign" / "mimic_in_chain" / "arm.urdf"
-    with pytest.raises(
-        ModelError, match=r"joint_3\].mimic: .* behind this one \(base_frame\), or fix this one"
-    ):
-        load_robot(file, base_frame="base_link", tool_frame="tool0")
-    assert load_robot(file, base_frame="link_3", tool_frame="tool0").dof == 3
-    text = file.read_text(encoding="utf-8").replace('"joint_3" type="revolute"', '"joint_3" type="fixed"')
-    fixed = tmp_path / "arm.urdf"
-    fixed.write_text(text.replace('<mimic joint="joint_2" multiplier="-1"/>', ""), encoding="utf-8")
-    assert load_robot(fixed, base_frame="base_link", tool_frame="tool0").dof == 5
-
-
-def test_a_joint_about_the_same_axis_takes_over_what_a_linkage_turns(tmp_path: Path) -> None:
-    """A parallelogram holds the elbow's base upright: fixed, the elbow turns by the difference of both."""
-    upright = '<axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1" effort="9"/>'
-    mimic = '<mimic joint="joint_1" multiplier="-1" offset="0.3"/>'
-    turned = '<joint name="joint_2" type="revolute"><parent link="bracket"/><child link="link_2"/>'
-    turned += '<origin xyz="0 0.1 0" rpy="0 0 3.141592653589793"/><axis xyz="0 -1 0"/>'
-    arm = [
-        *(link(name) for name in ("base", "link_1", "parallel", "bracket", "link_2", "tip")),
-        joint("joint_1", "revolute", "base", "link_1", upright),
-        joint("linkage", "revolute", "link_1", "parallel", upright + mimic),
-        joint("plate", "fixed", "parallel", "bracket", "", 0.0).replace("0.0 0 0.1", "0 0.05 0"),
-        turned + f"{upright[upright.index('<limit') :]}</joint>",
-        joint("joint_3", "revolute", "link_2", "tip", upright),
-    ]
-    told = (
-        r"joint\[linkage\].mimic: .* or fix this one: joint_2 turns about the same axis, then by both angles"
-    )
-    with pytest.raises(ModelError, match=told):
-        load_robot(write(tmp_path, *arm), base_frame="base", tool_frame="tip")
-    full = pin.buildModelFromXML((tmp_path / "arm.urdf").read_text("utf-8"), mimic=True)
-    fixed = [
-        part.replace(mimic, "").replace('"linkage" type="revolute"', '"linkage" type="fixed"') for part in arm
-    ]
-    kinematics = Kinematics(load_robot(write(tmp_path, *fixed), base_frame="base", tool_frame="tip"))
-    for q in ([0.2, 0.5, -0.4], [-0.7, 0.1, 0.9]):
-        data = full.createData()
-        pin.framesForwardKinematics(full, data, np.array(q))
-        taken = np.array([q[0], q[1] + 0.3 - q[0], q[2]])
-        pose = data.oMf[full.getFrameId("tip")].homogeneous
-        np.testing.assert_allclose(kinematics.tool_pose(taken).homogeneous, pose, atol=1e-9)
-    # Neither one beside nor one that is tilted.
-    for own, other in (('xyz="0 0.1 0"', 'xyz="0.1 0.1 0"'), ('rpy="0 0', 'rpy="0.1 0')):
-        aside = [part.replace(own, other) for part in arm]
-        with pytest.raises(ModelError, match=r"or fix this one$"):
-            load_robot(write(tmp_path, *aside), base_frame="base", tool_frame="tip")
 
 
 def test_impossible_inertias_count_in_the_arm_alone(tmp_path: Path) -> None:

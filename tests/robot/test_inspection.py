@@ -43,7 +43,7 @@ DAMAGE = {
     "no velocity": ('velocity="0.2"', "", "joint[climb_1].limit.velocity", "a value"),
     "negative velocity": ('velocity="0.2"', 'velocity="-1"', "joint[climb_1].limit.velocity", "not negative"),
     "negative effort": ('effort="240.0"', 'effort="-1"', "joint[joint_1].limit.effort", "not negative"),
-    "mimic": (JOINT_4, f'{JOINT_4}<mimic joint="joint_3"/>', "joint[joint_4].mimic", "follows"),
+    "mimic": (JOINT_4, f'{JOINT_4}<mimic joint="joint_4"/>', "joint[joint_4].mimic", "follow"),
     "unknown type": ('type="revolute"', 'type="screw"', "joint[climb_1].type", "revolute, continuous"),
     "floating": (JOINT_4, JOINT_4.replace("revolute", "floating"), "[joint_4].type", "of revolute, contin"),
     "two links of a name": ('link name="link_2"', 'link name="link_1"', "link[link_1]", "unique"),

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
-from cmbot.robot import Robot
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.robot import Robot, prismatic_joints
 from cmbot.toolpath import ToolPath
 from cmbot.trajectory import Ellipses, Pieces
 
@@ -51,7 +51,8 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
         Its arm is a serial chain of joints that turn or slide, as `load_robot` guarantees.
     on : Ellipses
     """
-    model, n = robot.model, robot.dof
+    model, on, slides = robot.model, _of_all_joints(robot, on), prismatic_joints(robot.model)
+    n = len(slides)
     bodies = list(model.inertias)[1:]
     mass = [float(body.mass) for body in bodies]
     lever = [float(np.linalg.norm(body.lever)) for body in bodies]
@@ -60,7 +61,7 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
     fixed = [float(np.linalg.norm(step)) for step in steps]
     # The torque is about O0, the point in W.
     to_foot = float(np.linalg.norm(steps[0] - np.array(robot.foot_point)))
-    armature, slides = np.broadcast_to(model.armature, n), robot.limits.prismatic
+    armature = np.broadcast_to(model.armature, n)
     with np.errstate(over="ignore", invalid="ignore"):
         turn = np.exp(np.where(slides, 0.0, on.turn))
         offset = fixed + np.where(slides, on.q, 0.0)
@@ -101,9 +102,9 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             about = turn[..., i] * about + arm * carried
         point = point + rotation * tool
         if robot.fixed_tool is not None:
-            point, velocity = _fixed_tool_bounds(robot, on, turn)
+            point, velocity = _fixed_tool_bounds(robot, on, turn, slides)
         return NormBounds(
-            joint_torque=joint_torque,
+            joint_torque=robot.coupling.summed(joint_torque),
             guardrail_force=carried,
             guardrail_torque=about,
             tool_point=point,
@@ -112,10 +113,19 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
         )
 
 
-def _fixed_tool_bounds(robot: Robot, on: Ellipses, turn: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _of_all_joints(robot: Robot, on: Ellipses) -> Ellipses:
+    """How large the state of all m joints is where those of a posture are as large as `on` says."""
+    coupling = robot.coupling
+    turn, q, v, a = (np.abs(coupling.rates(each)) for each in (on.turn, on.q, on.v, on.a))
+    return Ellipses(turn=turn, q=q + np.abs(coupling.offset), v=v, a=a)
+
+
+def _fixed_tool_bounds(
+    robot: Robot, on: Ellipses, turn: FloatArray, slides: BoolArray
+) -> tuple[FloatArray, FloatArray]:
     """Bounds (K, R), m and m/s, of a fixed tool's point, seen from joint after joint up to the part.
 
-    `turn` (K, R, n) are those of the joints' rotations.
+    `turn` (K, R, m) are those of the joints' rotations, `slides` (m,) says which slide.
     """
     model, seen = robot.model, np.zeros(turn.shape[:2])
     placements = [*list(model.jointPlacements)[2:], model.frames[robot.tool_frame_id].placement]
@@ -125,7 +135,7 @@ def _fixed_tool_bounds(robot: Robot, on: Ellipses, turn: FloatArray) -> tuple[Fl
     )
     for i, X in enumerate(placements):
         e, v = turn[..., i], on.v[..., i]
-        if robot.limits.prismatic[i]:
+        if slides[i]:
             seen, velocity = seen + on.q[..., i], velocity + v
         else:
             seen, velocity = e * seen, e * (velocity + v * seen)

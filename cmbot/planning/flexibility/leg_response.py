@@ -69,7 +69,7 @@ class LegResponse:
         du = np.einsum("kij,kj->ki", at.sag_slope, first)
         ddu = np.gradient(du, shares, axis=0)
         data = arm.model.createData()
-        x, dx, ddx = (arm.configuration(*both) for both in ((posture, at.u), (first, du), (second, ddu)))
+        x, dx, ddx = arm.configuration(posture, at.u), arm.rates(first, du), arm.rates(second, ddu)
         speeding, turning = [], []
         for k in range(len(shares)):
             still = pin.computeGeneralizedGravity(arm.model, data, x[k])[arm.elastic].copy()

@@ -219,7 +219,7 @@ def _gyroscopic(arm: ElasticArm, q: FloatArray, u: FloatArray, v: FloatArray) ->
     """Derivatives (g, f, f) of the elastic coordinates' forces by their rates, at joint rates (g, n)."""
     data, still = arm.model.createData(), np.zeros(arm.model.nv)
     block = np.ix_(arm.elastic, arm.elastic)
-    rates = arm.configuration(v, np.zeros_like(u))
+    rates = arm.rates(v, np.zeros_like(u))
     found = np.empty((*u.shape, u.shape[1]))
     for k, (configuration, rate) in enumerate(zip(arm.configuration(q, u), rates, strict=True)):
         found[k] = pin.computeRNEADerivatives(arm.model, data, configuration, rate, still)[1][block]

@@ -88,11 +88,12 @@ class WristChain:
 def wrist_chain(request: StrokeRequest) -> WristChain | None:
     """Return the chain of a request's arm and task; None where they do not decouple.
 
-    They do for arms of six or seven revolute joints, the first or the last three of which meet, and
-    ``keep: pose``; with a wrist and a tool on its last axis, which is not fixed, also for ``keep: axis``.
+    They do for arms of six or seven revolute joints, none of which follows another and the first or the last
+    three of which meet, and ``keep: pose``; with a wrist and a tool on its last axis, which is not fixed,
+    also for ``keep: axis``.
     """
     robot, task = request.cell.robot, request.task
-    if task.lean is not None:
+    if task.lean is not None or not robot.coupling.is_free:
         return None
     n = robot.dof
     if n - 3 not in _INNER or task.keep == "position" or task.path.turns or robot.limits.prismatic.any():

@@ -38,7 +38,7 @@ def bent_tool_points(robot: Robot, base: ElasticBase | None, q: FloatArray) -> F
     """
     model, data, N = robot.model, robot.model.createData(), len(q)
     steps = np.empty((model.njoints, N, 4, 4))
-    for k, q_k in enumerate(q):
+    for k, q_k in enumerate(robot.coupling.positions(q)):
         pin.forwardKinematics(model, data, q_k)
         steps[:, k] = [X.homogeneous for X in data.liMi]
     arm = [_elements(robot, joint) for joint in range(1, model.njoints)]

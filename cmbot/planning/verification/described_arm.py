@@ -148,11 +148,44 @@ class DescribedArm:
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names of the arm's joints, base to tool."""
+        """Names of the arm's joints that move by themselves, base to tool."""
+        return tuple(joint.get("name", "") for joint in self._row if joint.find("mimic") is None)
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of those and of the m joints that follow them, base to tool."""
         return tuple(joint.get("name", "") for joint in self._chain)
 
-    @cached_property
+    @property
     def _chain(self) -> list[Element]:
+        return [joint for joint in self._row if self._followed(joint)[0] in self.joints]
+
+    @property
+    def resting(self) -> dict[str, float]:
+        """Positions, rad or m, of all joints that do not move and of which that is said."""
+        led = {joint.get("name", ""): self._followed(joint) for joint in self._row}
+        fixed = {name: what for name, what in led.items() if name not in self.moving}
+        places = {name: self.locked.get(of, 0.0) * by + offset for name, (of, by, offset) in fixed.items()}
+        return {**self.locked, **places}
+
+    @cached_property
+    def linkage(self) -> tuple[FloatArray, FloatArray]:
+        """Matrix (m, n) and offsets (m,) by which the positions of `moving` follow those of `joints`."""
+        led = [self._followed(joint) for joint in self._chain]
+        G = np.array([[by * (of == joint) for joint in self.joints] for of, by, _ in led])
+        return G, np.array([offset for *_, offset in led])
+
+    def _followed(self, joint: Element) -> tuple[str, float, float]:
+        """The joint that one follows at last, and factor and offset of its position; itself without any."""
+        factor, offset = 1.0, 0.0
+        while (mimic := joint.find("mimic")) is not None:
+            offset += factor * float(mimic.get("offset", 0.0))
+            factor *= float(mimic.get("multiplier", 1.0))
+            (joint,) = (j for j in self.urdf.findall("joint") if j.get("name") == mimic.get("joint"))
+        return joint.get("name", ""), factor, offset
+
+    @cached_property
+    def _row(self) -> list[Element]:
         link, chain = self.tool, list[Element]()
         while link != self.base and link in self._above:
             chain.insert(0, self._above[link])
@@ -162,6 +195,14 @@ class DescribedArm:
     @property
     def slides(self) -> BoolArray:
         """Which joints (n,) move along their axes."""
+        return self._along[self._own]
+
+    @property
+    def _own(self) -> list[int]:
+        return [self.moving.index(joint) for joint in self.joints]
+
+    @property
+    def _along(self) -> BoolArray:
         return np.array([joint.get("type") == "prismatic" for joint in self._chain])
 
     @property
@@ -196,37 +237,49 @@ class DescribedArm:
             fields = DescribedLimits.__dataclass_fields__
             return DescribedLimits(**{name: getattr(self.loaded, name) for name in fields})
         every, single = listed.get("all") or {}, listed.get("joints") or {}
-        given = [single.get(name, every) for name in self.joints]
+        given = [single.get(name, every) for name in self.moving]
         limit = [{} if (each := joint.find("limit")) is None else each.attrib for joint in self._chain]
         lower, upper, velocity, torque = (
             np.array([float(each.get(key, 0)) for each in limit])
             for key in ("lower", "upper", "velocity", "effort")
         )
         velocity, torque = (
-            np.where(own > _LEAST_LIMIT, own, np.where(described > _LEAST_LIMIT, described, loaded))
-            for own, described, loaded in (
-                (self._rates(given, "velocity_m_s", "velocity_deg"), velocity, self.loaded.velocity),
-                (np.array([float(each.get("effort") or 0) for each in given]), torque, self.loaded.torque),
+            np.where(own > _LEAST_LIMIT, own, np.where(described > _LEAST_LIMIT, described, 0.0))
+            for own, described in (
+                (self._rates(given, "velocity_m_s", "velocity_deg"), velocity),
+                (np.array([float(each.get("effort") or 0) for each in given]), torque),
             )
         )
+        velocity, torque = self._least(velocity, self.loaded.velocity), torque[self._own]
         endless = [joint.get("type") == "continuous" for joint in self._chain] | (np.abs(upper) >= _ENDLESS)
         acceleration = self._rates(given, "acceleration_m_s2", "acceleration_deg")
-        acceleration = np.where(acceleration > 0, acceleration, 2.0 * velocity)
+        acceleration = self._least(acceleration, 2.0 * velocity)
         jerk = self._rates(given, "jerk_m_s3", "jerk_deg")
         margin = np.where(self.slides, *self.range_margins[::-1])
+        G, offset = self.linkage
+        column, factor = np.abs(G).argmax(axis=1), G.sum(axis=1)
+        ends = [np.where(endless, far, end) for far, end in ((-np.inf, lower), (np.inf, upper))]
+        ends = [(end - offset) / factor for end in ends]
         return DescribedLimits(
-            lower=np.where(endless, -np.inf, lower + margin),
-            upper=np.where(endless, np.inf, upper - margin),
+            lower=np.array([np.minimum(*ends)[column == k].max() for k in range(G.shape[1])]) + margin,
+            upper=np.array([np.maximum(*ends)[column == k].min() for k in range(G.shape[1])]) - margin,
             velocity=velocity,
             acceleration=acceleration,
-            jerk=np.where(jerk > 0, jerk, 10.0 * acceleration),
-            torque=torque,
+            jerk=self._least(jerk, 10.0 * acceleration),
+            torque=np.where(torque > 0, torque, self.loaded.torque),
         )
+
+    def _least(self, given: FloatArray, assumed: FloatArray) -> FloatArray:
+        """What joints (n,) may by what is given of all (m,), zero where not; else what is assumed (n,)."""
+        G = self.linkage[0]
+        share = np.where(given > 0, given, np.inf)[:, None] / np.where(G == 0, np.nan, np.abs(G))
+        least = np.nanmin(share, axis=0)
+        return np.asarray(np.where(given[self._own] > 0, least, np.minimum(assumed, least)))
 
     def _rates(self, given: Sequence[Mapping[str, float]], metres: str, degrees: str) -> FloatArray:
         """Limits (n,) that a file has, SI; zero where it has none."""
         along, about = ([float(each.get(key) or 0) for each in given] for key in (metres, degrees))
-        return np.where(self.slides, along, np.radians(about))
+        return np.where(self._along, along, np.radians(about))
 
 
 def _link(joint: Element, tag: str) -> str:

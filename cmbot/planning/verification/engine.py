@@ -112,20 +112,20 @@ def engine_states(
     _place(model, data, arm)
     body = model.body(_POINT).id
     tool = body if arm.tool == arm.carrier else model.body(arm.tool).id
-    dofs = [int(model.joint(name).dofadr[0]) for name in arm.joints]
-    slots = [int(model.joint(name).qposadr[0]) for name in arm.joints]
+    dofs = [int(model.joint(name).dofadr[0]) for name in arm.moving]
+    slots, (G, offset) = [int(model.joint(name).qposadr[0]) for name in arm.moving], arm.linkage
     N, n = motion[0].shape
     point, rotation = np.empty((N, 3)), np.empty((N, 3, 3))
     tau, wrench, forces = np.empty((N, n)), np.empty((N, 6)), np.empty(model.nv)
     for k, (q, v, a) in enumerate(zip(*motion, strict=True)):
-        data.qpos[slots], data.qvel[dofs], data.qacc[dofs] = q, v, a
+        data.qpos[slots], data.qvel[dofs], data.qacc[dofs] = G @ q + offset, G @ v, G @ a
         for step in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
             step(model, data)
         point[k], rotation[k] = data.xpos[tool], data.xmat[tool].reshape(3, 3)
         push, pushed = rotation[k] @ tool_force, np.zeros(model.nv)
         mujoco.mj_applyFT(model, data, push, np.zeros(3), point[k], body, pushed)
         mujoco.mj_rne(model, data, 1, forces)
-        tau[k] = (forces - pushed)[dofs]
+        tau[k] = (forces - pushed)[dofs] @ G
         mujoco.mj_rnePostConstraint(model, data)
         # Of the first body on the world, torque and force, about the centre of mass.
         torque, force = np.split(-data.cfrc_int[1], 2)
@@ -187,7 +187,7 @@ def _place(model: Any, data: Any, arm: DescribedArm) -> None:
     """Hold the joints that are not the arm's, and put the robot where it stands."""
     import mujoco
 
-    for name, value in arm.locked.items():
+    for name, value in arm.resting.items():
         data.qpos[model.joint(name).qposadr[0]] = value
     X = arm.X_WR
     if arm.X_WB is not None:

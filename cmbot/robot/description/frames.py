@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
-import numpy as np
-
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.poses import pose
 from cmbot.common.reading.validation import shown
 
 _ROTARY_TYPES = ("revolute", "continuous")
 _MOVING_TYPES = (*_ROTARY_TYPES, "prismatic")
-# Of axes, m and as a sine: nearer ones are the same.
-_SAME_AXIS = 1e-6
 # The name of a tool frame in ROS-Industrial's convention.
 _ROS_TOOL_FRAME = "tool0"
 
@@ -86,30 +80,38 @@ def row_of(root: ElementTree.Element, link: str) -> dict[str, str]:
     return {name: each[-1].get("name", "") if each else "" for name, each in joints.items()}
 
 
-def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
-    """Refuse an arm with a joint that does not turn or slide by itself, or has the name of a link.
+@dataclass(frozen=True)
+class Following:
+    """Where a joint is: at ``multiplier * q + offset`` of the joint `leader`, which may be itself."""
+
+    leader: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+def followed(
+    root: ElementTree.Element, base_frame: str, tool_frame: str, source: str
+) -> dict[str, Following]:
+    """Return what each joint of an arm follows at last, by its name, base to tool.
 
     Raises
     ------
     ModelError
-        With that joint as its key.
+        With a joint as its key that neither turns nor slides, has the name of a link, or follows no other
+        joint that does.
     """
     tree = _Tree(root)
-    joints = tree.joints(base_frame, tool_frame)
-    for joint in joints:
-        key, kind = f"joint[{joint.get('name')}]", joint.get("type")
-        if joint.get("name") in tree.links:
+    each = {}
+    for joint in tree.joints(base_frame, tool_frame):
+        name, kind = joint.get("name", ""), joint.get("type")
+        if name in tree.links:
             # Pinocchio finds no frame then; elsewhere such a joint is renamed.
-            raise ModelError(source, key, "the name of a link", "a name that no link has")
+            raise ModelError(source, f"joint[{name}]", "the name of a link", "a name that no link has")
         if kind not in _MOVING_TYPES:
-            raise ModelError(
-                source, f"{key}.type", kind, "an arm of revolute, continuous or prismatic joints"
-            )
-        if (mimic := joint.find("mimic")) is not None:
-            expected = "an arm of independent joints: begin it behind this one (base_frame), or fix this one"
-            if taker := tree.taking_over(joints, joint, str(mimic.get("joint"))):
-                expected += f": {taker} turns about the same axis, then by both angles, with limits for that"
-            raise ModelError(source, f"{key}.mimic", "a joint that follows another", expected)
+            expected = "an arm of revolute, continuous or prismatic joints"
+            raise ModelError(source, f"joint[{name}].type", kind, expected)
+        each[name] = tree.following(joint, source)
+    return each
 
 
 class _Tree:
@@ -140,44 +142,52 @@ class _Tree:
         below = row[row.index(base) + 1 :] if base in row else []
         return [self.above[name] for name in below if self.above[name].get("type") != "fixed"]
 
-    def taking_over(
-        self, joints: Sequence[ElementTree.Element], joint: ElementTree.Element, leader: str
-    ) -> str:
-        """The neighbour of a joint that turns by itself about the same axis; empty without one."""
-        for first, second in pairwise(joints):
-            other = second if first is joint else first
-            beside = joint in (first, second) and joint.get("type") in _ROTARY_TYPES and _turns(other)
-            if beside and other.get("name") != leader and self.share_axis(first, second):
-                return str(other.get("name"))
-        return ""
-
-    def share_axis(self, first: ElementTree.Element, second: ElementTree.Element) -> bool:
-        """Whether the axes of two joints, of which the second one is further out, are one line."""
-        inner, outer = (
-            next(link for link in self.above if self.above[link] is each) for each in (first, second)
-        )
-        row, X = self.row(outer), np.eye(4)
-        for link in row[row.index(inner) + 1 :]:
-            origin = self.above[link].find("origin")
-            X = X @ pose(*(_numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
-        axis, other = (_numbers(joint.find("axis"), "xyz", "1 0 0") for joint in (first, second))
-        axis, other = axis / np.linalg.norm(axis), X[:3, :3] @ other / np.linalg.norm(other)
-        return all(np.linalg.norm(np.cross(axis, x)) < _SAME_AXIS for x in (other, X[:3, 3]))
+    def following(self, joint: ElementTree.Element, source: str = "") -> Following:
+        """What a joint follows at last; refused where that is no joint that moves by itself."""
+        found, passed, first = Following(joint.get("name", "")), list[str](), joint
+        while (mimic := joint.find("mimic")) is not None:
+            passed.append(found.leader)
+            leader, factor = mimic.get("joint", ""), float(mimic.get("multiplier", "1"))
+            found = Following(
+                leader,
+                found.multiplier * factor,
+                found.multiplier * float(mimic.get("offset", "0")) + found.offset,
+            )
+            others = (each for each in self.urdf.findall("joint") if each.get("name") == leader)
+            moving = next((each for each in others if each.get("type") in _MOVING_TYPES), None)
+            key = f"joint[{first.get('name')}].mimic"
+            if moving is None or leader in self.links or leader in passed:
+                got = "joints that follow each other" if leader in passed else f"the joint {shown(leader)}"
+                expected = "a joint that turns or slides by itself, or another one that follows such a joint"
+                raise ModelError(source, key, got, expected)
+            if found.multiplier == 0:
+                expected = "a number that is not zero, or no mimic and the type fixed"
+                raise ModelError(source, f"{key}.multiplier", "0", expected)
+            joint = moving
+        return found
 
     def moving(self, base: str, link: str) -> bool:
-        """Whether there are joints from `base` to `link`, and all turn or slide by themselves."""
+        """Whether there are joints from `base` to `link`, and all turn or slide, some led by others."""
         joints = self.joints(base, link)
-        return bool(joints) and all(map(_moves, joints))
+        return bool(joints) and self.led(joints)
+
+    def led(self, joints: Sequence[ElementTree.Element]) -> bool:
+        """Whether all of some joints turn or slide, and what they follow is among them."""
+        names = {joint.get("name", "") for joint in joints if _moves(joint)}
+        followers = [joint for joint in joints if joint.find("mimic") is not None]
+        if not all(joint.get("type") in _MOVING_TYPES for joint in joints):
+            return False
+        try:
+            return all(self.following(joint).leader in names for joint in followers)
+        except ModelError:
+            return False
 
     def turns(self, base: str, link: str) -> int:
         """Number of joints from `base` to `link` that turn by themselves."""
         return sum(map(_turns, self.joints(base, link)))
 
     def with_turns(self, base: str, links: Sequence[str], number: int) -> list[str]:
-        """Those of the links to which so many joints turn, the last among them, and no joint follows another.
-
-        Each once.
-        """
+        """Those of the links to which so many joints turn, the last among them; each once."""
         return [
             link
             for link in dict.fromkeys(links)
@@ -187,8 +197,8 @@ class _Tree:
         ]
 
     def before_gripper(self, base: str, link: str) -> str:
-        """The last link towards `link` that a turning joint moves, and none that follows another."""
-        while (joints := self.joints(base, link)) and not (all(map(_moves, joints)) and _turns(joints[-1])):
+        """The last link towards `link` that a turning joint moves by itself."""
+        while (joints := self.joints(base, link)) and not (self.led(joints) and _turns(joints[-1])):
             link = self.parents[link]
         return link
 
@@ -197,10 +207,6 @@ class _Tree:
         """Links without links below."""
         inner = set(self.parents.values())
         return [link for link in self.links if link not in inner]
-
-
-def _numbers(element: ElementTree.Element | None, key: str, default: str) -> FloatArray:
-    return np.array((default if element is None else element.get(key, default)).split(), dtype=float)
 
 
 def _turns(joint: ElementTree.Element) -> bool:
@@ -259,7 +265,7 @@ def _last_link(tree: _Tree, base: str, source: str) -> str:
         tips = tree.with_turns(base, [tree.before_gripper(base, link) for link in ends], longest)
     if not tips and (following := [link for link in ends if _follows(tree.joints(base, link))]):
         # The joint that stands in the way is named.
-        require_independent(tree.urdf, base, following[0], source)
+        followed(tree.urdf, base, following[0], source)
     last = {tree.joints(base, link)[-1].get("name") for link in tips}
     if len(last) == 1:
         if _ROS_TOOL_FRAME in tips:

@@ -96,13 +96,13 @@ class Bending:
         return max(float(each.largest(ends).max(initial=0.0)) for each in beams if each is not None)
 
     def poses(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the poses (N, n, 7) of the links' joints and the tool's places (N, 3) in W of the bent arm.
+        """Return the poses (N, m, 7) of the links' joints and the tool's places (N, 3) in W of the bent arm.
 
         In postures `q` (N, n) with elastic coordinates `u` (N, f); position, then quaternion x, y, z, w.
         """
         arm, model, data = self._arm, self._arm.model, self._arm.model.createData()
-        joints = [model.getJointId(name) for name in arm.robot.joints]
-        poses, tool = np.empty((*q.shape, 7)), np.empty((len(q), 3))
+        joints = (arm.driven + 1).tolist()
+        poses, tool = np.empty((len(q), len(joints), 7)), np.empty((len(q), 3))
         for k, configuration in enumerate(arm.configuration(q, u)):
             pin.framesForwardKinematics(model, data, configuration)
             poses[k] = [_pose(data.oMi[joint]) for joint in joints]
@@ -167,7 +167,7 @@ class Bending:
         arm, robot = self._arm, self._arm.robot
         model, rigid = arm.model, robot.model
         # Joints of the chain that drive, and where the chain ends.
-        driving = [model.getJointId(name) for name in robot.joints] + [model.njoints]
+        driving = [*(arm.driven + 1).tolist(), model.njoints]
         tubes = {
             rigid.frames[rigid.getFrameId(link)].parentJoint: (rigid.frames[rigid.getFrameId(link)], tube)
             for link, tube in robot.elasticity.items()

@@ -90,9 +90,10 @@ def focus_on(cloud: FloatArray, azimuth: float, rise: float = RISE) -> dict[str,
 
 
 def link_poses(robot: Robot, q: FloatArray) -> FloatArray:
-    """Return poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
-    poses = np.empty((*q.shape, 7))
-    for joint, (origin, _, axes) in enumerate(Chain(robot.model, [np.eye(3)] * robot.dof).walk(q.T)):
+    """Return poses (N, m, 7) of the frames of all joints in W at postures `q` (N, n)."""
+    every = robot.coupling.positions(q)
+    poses, fixed = np.empty((*every.shape, 7)), [np.eye(3)] * every.shape[1]
+    for joint, (origin, _, axes) in enumerate(Chain(robot.model, fixed).walk(every.T)):
         poses[:, joint, :3] = origin.T
         poses[:, joint, 3:] = Rotation.from_matrix(axes.transpose(2, 1, 0)).as_quat(canonical=True)
     return poses
