@@ -110,11 +110,11 @@ def arm_model(
 
     reduced = partial(_reduced, full, others, stance, str(urdf))
     model, collision = reduced(built.collision)
-    assumed = _enable_pairs(model, collision, srdf, semantics, tool)
+    coupling = _coupling([following[name] for name in model.names[1:]], list(model.names)[1:])
+    assumed = _enable_pairs(model, collision, coupling, srdf, semantics, tool)
     slides = _locked_slides(full, moving, stance, base_frame)
     in_states = () if semantics is None else semantics.findall("group_state/joint")
     placed = {*locked, *(entry.get("name", "") for entry in in_states)}
-    coupling = _coupling([following[name] for name in model.names[1:]], list(model.names)[1:])
     return ArmModel(
         model=model,
         coupling=coupling,
@@ -390,7 +390,12 @@ def _group_states(joints: Sequence[str], semantics: ElementTree.Element | None) 
 
 
 def _enable_pairs(
-    model: Any, collision: Any, source: str, semantics: ElementTree.Element | None, tool: str
+    model: Any,
+    collision: Any,
+    coupling: Coupling,
+    source: str,
+    semantics: ElementTree.Element | None,
+    tool: str,
 ) -> tuple[str, ...]:
     """Let all pairs of shapes collide but those that the SRDF disables; return remarks.
 
@@ -408,7 +413,7 @@ def _enable_pairs(
     enabled &= ~sampled | ((parents[:, None] != joints) & (parents != joints[:, None]))
     assumed: tuple[str, ...] = ()
     if unnamed.any():
-        near = near_pairs(model, collision, enabled & sampled)
+        near = near_pairs(model, collision, enabled & sampled, lambda q: coupling.positions(q[coupling.own]))
         assumed = tuple(_near_remarks(near, enabled & sampled, names, tool if listed else ""))
         for first, second in (pair for shapes in near.values() for pair in shapes):
             enabled[first, second] = enabled[second, first] = False

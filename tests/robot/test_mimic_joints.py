@@ -198,3 +198,11 @@ def test_a_follower_of_a_joint_before_the_arm_is_locked_with_it() -> None:
 def test_what_leads_nowhere_is_refused(tmp_path: Path, mimic: str, told: str) -> None:
     with pytest.raises(ModelError, match=told):
         load_robot(edited(tmp_path, (MIMIC, mimic)), base_frame="base_link", tool_frame="tool0")
+
+
+def test_what_is_always_near_is_so_in_the_linkages_positions(tmp_path: Path) -> None:
+    """The elbow is always near link_2 as joint_3 turns; where a linkage holds that one, it is not."""
+    for mimic, checked in ((MIMIC, False), ('<mimic joint="joint_2" multiplier="1e-3"/>', True)):
+        robot = load_robot(edited(tmp_path, (MIMIC, mimic)))
+        pairs = {frozenset((each.link, each.other)) for each in Clearances(robot, []).pairs}
+        assert ({"elbow", "link_2"} in pairs) == checked

@@ -8,7 +8,7 @@ that counts as clear.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -47,7 +47,12 @@ def sampled_postures(lower: FloatArray, upper: FloatArray, number: int = SAMPLES
     return np.asarray(lower + np.random.default_rng(_SEED).random((number, len(lower))) * (upper - lower))
 
 
-def near_pairs(model: Any, collision: Any, enabled: BoolArray) -> dict[_LinkPair, _ShapePairs]:
+def near_pairs(
+    model: Any,
+    collision: Any,
+    enabled: BoolArray,
+    led: Callable[[FloatArray], FloatArray] = lambda q: q,
+) -> dict[_LinkPair, _ShapePairs]:
     """Return the pairs of links that are nearly always near, each with its pairs of shapes.
 
     Parameters
@@ -56,6 +61,8 @@ def near_pairs(model: Any, collision: Any, enabled: BoolArray) -> dict[_LinkPair
         Pinocchio's; the pairs of `collision` are replaced.
     enabled : (S, S)
         The pairs of shapes that are looked at.
+    led : callable
+        From random positions of all joints to those that the arm has, where some follow others.
     """
     pairs = _by_links(model, collision, enabled)
     keys, distances = list(pairs), _Nearness(model, collision, list(pairs.values()))
@@ -63,7 +70,7 @@ def near_pairs(model: Any, collision: Any, enabled: BoolArray) -> dict[_LinkPair
     for q in sampled_postures(model.lowerPositionLimit, model.upperPositionLimit):
         if len(active) == 0:
             break
-        far[active] += ~distances.near(q, active)
+        far[active] += ~distances.near(led(q), active)
         active = active[far[active] <= MOST_FAR]
     return {keys[k]: pairs[keys[k]] for k in active}
 
