@@ -114,13 +114,12 @@ class ElasticArm:
         # pinocchio's Jacobian of a single joint is a vector.
         return self.robot.tool_seen(X_WE, J.reshape(6, self.model.nv))
 
-    def tool_points(self, q: FloatArray, u: FloatArray) -> FloatArray:
+    def tool_points(self, q: FloatArray, u: FloatArray, data: Any) -> FloatArray:
         """Return the bent arm's tool points (N, 3), m, as `Kinematics.tool_poses` has the rigid arm's.
 
-        At joint angles `q` (N, n) and elastic coordinates `u` (N, f).
+        At joint angles `q` (N, n) and elastic coordinates `u` (N, f); `data` as of `tool_jacobian`.
         """
-        model, data, fixed = self.model, self.model.createData(), self.robot.fixed_tool
-        points = np.empty((len(q), 3))
+        model, fixed, points = self.model, self.robot.fixed_tool, np.empty((len(q), 3))
         for k, configuration in enumerate(self.configuration(q, u)):
             pin.forwardKinematics(model, data, configuration)
             X_WE = pin.updateFramePlacement(model, data, self.tool_frame_id)

@@ -148,7 +148,7 @@ class Sag:
             for number in left.tolist():
                 alone = slice(number, number + 1)
                 self._solve(q[alone], u[alone], first=number)
-        return arm.tool_points(q, u) - Kinematics(arm.robot).tool_poses(q)[0]
+        return arm.tool_points(q, u, data) - Kinematics(arm.robot).tool_poses(q)[0]
 
     def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""

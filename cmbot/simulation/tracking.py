@@ -356,7 +356,7 @@ def track_work(
     rigid, predicted = expected_tool(arm.robot, work, t, sag)
     q = work.postures(t) if curve is None else curve(t)
     u = _elastic_coordinates(bent, t)
-    error = arm.tool_points(q, u) - rigid - predicted
+    error = arm.tool_points(q, u, arm.model.createData()) - rigid - predicted
     static = -predicted
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
