@@ -150,12 +150,13 @@ class ToolBatch:
 
         These are (N, 3, n), m/s/rad or 1/s; those by the rates are the first rows of the Jacobian.
         """
-        # From a part to a fixed tool the chain begins with the last joint.
         # A subclass may add to the coordinates' Jacobian what moves the point beside the joints.
-        each = self.leading_jacobian if self.coupling.is_free else self._joints_jacobian
-        J, step = each.transpose(0, 2, 1), 1 if self.part is None else -1
-        linear, angular = np.split(J[..., ::step], 2)
-        moved, turned = (each * self.coupling.rates(v)[:, ::step] for each in (linear, angular))
+        J = self.leading_jacobian if self.coupling.is_free else self._joints_jacobian
+        # From a part to a fixed tool the chain begins with the last joint.
+        step = 1 if self.part is None else -1
+        linear, angular = np.split(J.transpose(0, 2, 1)[..., ::step], 2)
+        rates = self.coupling.rates(v)[:, ::step]
+        moved, turned = linear * rates, angular * rates
         # A joint turns what the joints from it on add, and is turned by the joints before it.
         beyond = np.cumsum(moved[..., ::-1], axis=2)[..., ::-1]
         before = np.cumsum(turned, axis=2) - turned
