@@ -127,12 +127,9 @@ def _fixed_tool_bounds(
 
     `turn` (K, R, m) are those of the joints' rotations, `slides` (m,) says which slide.
     """
-    model, seen = robot.model, np.zeros(turn.shape[:2])
+    model, first = robot.model, float(np.linalg.norm(robot.fixed_tool.translation - robot.base_point))
     placements = [*list(model.jointPlacements)[2:], model.frames[robot.tool_frame_id].placement]
-    seen, velocity = (
-        seen + np.linalg.norm(robot.fixed_tool.translation - robot.base_point),
-        np.zeros_like(seen),
-    )
+    seen, velocity = np.full(turn.shape[:2], first), np.zeros(turn.shape[:2])
     for i, X in enumerate(placements):
         e, v = turn[..., i], on.v[..., i]
         if slides[i]:
