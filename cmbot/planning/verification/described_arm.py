@@ -156,7 +156,7 @@ class DescribedArm:
         """Names of those and of the m joints that follow them, base to tool."""
         return tuple(joint.get("name", "") for joint in self._chain)
 
-    @property
+    @cached_property
     def _chain(self) -> list[Element]:
         return [joint for joint in self._row if self._followed(joint)[0] in self.joints]
 
