@@ -246,8 +246,8 @@ def _told(plan: Plan) -> Iterator[Note]:
 def _faces(plan: Plan) -> Iterator[Note]:
     """What was chosen of the faces of meshes and of the rows over them."""
     surfaces = {stroke.file.part_of or stroke.name: stroke.surface for stroke in plan.asked_strokes}
-    found = {name: each.found for name, each in surfaces.items() if isinstance(each, FaceSurface)}
-    if any(found.values()):
+    faces = {name: each for name, each in surfaces.items() if isinstance(each, FaceSurface)}
+    if found := {name: each.found for name, each in faces.items() if each.found}:
         yield Note(level="note", key="faces", values={"found": found})
 
 

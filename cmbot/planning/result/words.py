@@ -353,7 +353,7 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was chosen "
         "by it. axis_weights with x or y above 0 count gravity's torque, too."
     ),
-    "faces": lambda note: f"{'; '.join(f'Faces of {k}, {v}' for k, v in note.found.items() if v)}.",
+    "faces": lambda note: f"{'; '.join(f'Faces of {k}, {v}' for k, v in note.found.items())}.",
     "objective": _objective,
     "baseline": "The baseline {faults}: it is shown for comparison and is no plan, and no gain is stated.",
     "approach": "The approach loads the {base} more than the work does.",
