@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -100,7 +101,7 @@ class NearestMiss:
         near = self.missed.is_held and self._use <= 1.0
         return most_often_near(self.request.cell, self.missed.best[None]) if near else None
 
-    @property
+    @cached_property
     def _use(self) -> float:
         """Share of its bound that a joint or foot uses in the best posture, at most."""
         return float(self.request.cell.use_at_rest(self.request.cell.postures.at(self.missed.best[None]))[0])
@@ -108,16 +109,19 @@ class NearestMiss:
     @property
     def feet_bind(self) -> bool:
         """Whether it is the feet that the best posture asks too much of."""
-        heavy = self.missed.is_held and self._use > 1.0
-        return heavy and weakest_joint(self.request.cell, self.missed.best[None]) == FEET
+        return self.missed.is_held and self._weakest == FEET
+
+    @property
+    def _weakest(self) -> str:
+        """The joint, or the feet, that the best posture asks too much of; empty where there is none."""
+        return weakest_joint(self.request.cell, self.missed.best[None]) if self._use > 1.0 else ""
 
     @property
     def at_best(self) -> str:
         """What the best posture that was found lacks."""
-        cell, best, use = self.request.cell, self.missed.best[None], self._use
-        if use > 1.0:
-            joint = weakest_joint(cell, best)
-            return f"{joint} uses {use:.0%} of its {'hold' if joint == FEET else 'torque'}"
+        cell, best = self.request.cell, self.missed.best[None]
+        if joint := self._weakest:
+            return f"{joint} uses {self._use:.0%} of its {'hold' if joint == FEET else 'torque'}"
         smallest = cell.clearances.query(best)
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)
