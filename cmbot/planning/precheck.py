@@ -239,11 +239,9 @@ def _hold_key(scene: Scene) -> str:
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
     """Yield magnets and clamps with bounds that two poles on this steel, or the member, have not."""
-    holds = scene.guardrail.hold if scene.on_guardrail else None
     for number, foot in enumerate(robot.feet, start=1):
         which = f" of foot {number}" * (len(robot.feet) > 1)
-        hold = holds[min(number, len(holds)) - 1] if holds else None
-        asked = () if hold is None else hold.moment_nm or ()
+        asked = (scene.guardrail.hold_of(number - 1).moment_nm if scene.on_guardrail else None) or ()
         for name, moment, bears in zip(_LOADS[3:], asked, foot.moment or (), strict=False):
             if moment > bears:
                 expected = f"at most {bears:.0f}, at which the member yields, of S235; so much is taken"

@@ -243,6 +243,11 @@ class GuardrailFile(FileModel):
         if stance.foot_2 is not None and self.stiffness is not None:
             raise refusal("free, beside a given stiffness", got="a place", key=("stance", "foot_2"))
 
+    def hold_of(self, foot: int) -> HoldFile:
+        """Return how a foot holds, 0 or 1: two feet that are described once are alike."""
+        holds = self.hold or (HoldFile(kind="welded"),)
+        return holds[min(foot, len(holds) - 1)]
+
     def _check_hold(self) -> None:
         places = _held_faces(self)
         if self.hold is not None and len(self.hold) > max(len(places), 1):
@@ -277,10 +282,7 @@ def _held_faces(file: GuardrailFile) -> list[tuple[Face, FloatArray]]:
 
 
 def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
-    """Return the feet of a robot that holds a guardrail; none where there is no member.
-
-    Two feet that are described once are alike.
-    """
+    """Return the feet of a robot that holds a guardrail; none where there is no member."""
     guardrail, faces = elastic_guardrail(file), _held_faces(file)
     return _feet(file, faces, np.array(guardrail.foot_point), shares(guardrail)) if faces else ()
 
@@ -299,10 +301,8 @@ def _feet(
     foot_point: FloatArray,
     each: Sequence[FloatArray],
 ) -> tuple[Foot, ...]:
-    holds = file.hold or (HoldFile(kind="welded"),)
     return tuple(
-        foot_on(face, point, holds[min(k, len(holds) - 1)], foot_point, each[k])
-        for k, (face, point) in enumerate(faces)
+        foot_on(face, point, file.hold_of(k), foot_point, each[k]) for k, (face, point) in enumerate(faces)
     )
 
 
