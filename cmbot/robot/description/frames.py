@@ -89,6 +89,15 @@ class Following:
     offset: float = 0.0
 
 
+@dataclass(frozen=True)
+class _Misled:
+    """Why a joint follows none: key, what is there, and what is expected."""
+
+    key: str
+    got: str
+    expected: str
+
+
 def followed(
     root: ElementTree.Element, base_frame: str, tool_frame: str, source: str
 ) -> dict[str, Following]:
@@ -110,7 +119,10 @@ def followed(
         if kind not in _MOVING_TYPES:
             expected = "an arm of revolute, continuous or prismatic joints"
             raise ModelError(source, f"joint[{name}].type", kind, expected)
-        each[name] = tree.following(joint, source)
+        led = tree.following(joint)
+        if isinstance(led, _Misled):
+            raise ModelError(source, led.key, led.got, led.expected)
+        each[name] = led
     return each
 
 
@@ -142,8 +154,8 @@ class _Tree:
         below = row[row.index(base) + 1 :] if base in row else []
         return [self.above[name] for name in below if self.above[name].get("type") != "fixed"]
 
-    def following(self, joint: ElementTree.Element, source: str = "") -> Following:
-        """What a joint follows at last; refused where that is no joint that moves by itself."""
+    def following(self, joint: ElementTree.Element) -> Following | _Misled:
+        """What a joint follows at last, or why that is no joint that moves by itself."""
         found, passed, first = Following(joint.get("name", "")), list[str](), joint
         while (mimic := joint.find("mimic")) is not None:
             passed.append(found.leader)
@@ -159,10 +171,10 @@ class _Tree:
             if moving is None or leader in self.links or leader in passed:
                 got = "joints that follow each other" if leader in passed else f"the joint {shown(leader)}"
                 expected = "a joint that turns or slides by itself, or another one that follows such a joint"
-                raise ModelError(source, key, got, expected)
+                return _Misled(key, got, expected)
             if found.multiplier == 0:
                 expected = "a number that is not zero, or no mimic and the type fixed"
-                raise ModelError(source, f"{key}.multiplier", "0", expected)
+                return _Misled(f"{key}.multiplier", "0", expected)
             joint = moving
         return found
 
@@ -174,13 +186,10 @@ class _Tree:
     def led(self, joints: Sequence[ElementTree.Element]) -> bool:
         """Whether all of some joints turn or slide, and what they follow is among them."""
         names = {joint.get("name", "") for joint in joints if _moves(joint)}
-        followers = [joint for joint in joints if joint.find("mimic") is not None]
         if not all(joint.get("type") in _MOVING_TYPES for joint in joints):
             return False
-        try:
-            return all(self.following(joint).leader in names for joint in followers)
-        except ModelError:
-            return False
+        each = map(self.following, joints)
+        return all(isinstance(one, Following) and one.leader in names for one in each)
 
     def turns(self, base: str, link: str) -> int:
         """Number of joints from `base` to `link` that turn by themselves."""
