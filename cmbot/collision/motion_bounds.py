@@ -99,7 +99,7 @@ class DistanceCache:
         self._reach, self._furthest = reach, reach.max(axis=0, initial=0.0)
         # The list of references is read much faster than the results' own container.
         self._results = list(data.distanceResults)
-        self._q, self._distance = np.full(robot.dof, np.nan), np.empty(len(reach))
+        self._q, self._distance = np.full(robot.dof, np.nan), np.full(len(reach), np.nan)
         self._asked = self._q
         slides = prismatic_joints(model)
         self._slides = bool(slides.any())
