@@ -167,7 +167,7 @@ def test_the_numbers_are_those_of_the_plan(shown: Chrome, triangle_plan: Plan) -
 def test_it_plays_pauses_stops_at_the_end_and_starts_anew_from_there(shown: Chrome) -> None:
     reached = shown.execute_async_script(
         """const done = arguments[0];
-        document.getElementById("play").click();
+        cmbotReplay.seek(cmbotReplay.workStart - 0.1), document.getElementById("play").click();
         const moved = () => cmbotReplay.time > cmbotReplay.workStart + 0.05;
         const wait = () => (moved() ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
         wait();"""

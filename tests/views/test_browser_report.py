@@ -272,7 +272,7 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_and_the_view_scrolls_away(s
 
 def test_both_motions_play(shown: Chrome) -> None:
     before = {arm: tool_of(shown, arm) for arm in ("planned", "baseline")}
-    shown.execute_script("document.activeElement.blur()")
+    shown.execute_script("document.activeElement.blur(); cmbotReplay.seek(cmbotReplay.workStart)")
     shown.find_element("tag name", "body").send_keys(" ")
     reached = shown.execute_async_script(
         """const done = arguments[0];
