@@ -22,6 +22,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
+from cmbot.robot import Robot
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -208,7 +209,7 @@ def accuracy_of(
             asked.probability,
             compensated=compensated,
             share=share,
-            locates=arm.robot.fixed_tool is None,
+            robot=arm.robot,
         ),
     )
 
@@ -226,7 +227,7 @@ def _remedies(
     *,
     compensated: bool,
     share: float,
-    locates: bool,
+    robot: Robot,
 ) -> tuple[Remedy, ...]:
     """What would help, each computed as the budget without what it takes away, and all of it together."""
     tried = list[tuple[str, Callable[[_Budget], _Budget]]]()
@@ -234,9 +235,12 @@ def _remedies(
         tried.append(("compensate: true", lambda other: other.scaled({"sag": 0.0})))
     if share > _IDENTIFIED:
         tried.append(("cmbot identify", lambda other: other.scaled({"stiffness": _IDENTIFIED / share})))
-    if locates and (uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg):
+    if robot.fixed_tool is None and (
+        uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg
+    ):
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
-    tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
+    if not robot.pushed:  # a force that sets in moves a slower tool as far
+        tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
     if budget.shaking is not None:
         tried.append(("work while the base is still", lambda other: replace(other, shaking=None)))
     found, all_together = list[Remedy](), budget
@@ -420,7 +424,7 @@ def _sampled(
         along = along[leading[np.maximum(np.searchsorted(leading, np.arange(len(t)), side="right") - 1, 0)]]
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], along.shape)
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
-    sway = work.sway or sway_along(arm, work.motion, duration, damping, factors)
+    sway = work.sway or sway_along(arm, work.motion, duration, damping, factors, sets_in=True)
     shaking = work.shaking
     return (
         *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),

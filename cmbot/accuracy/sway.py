@@ -5,7 +5,8 @@ With the elastic coordinates at equilibrium u_s(q(t)) and w what is added, to fi
     M w'' + D w' + K w = -f,    f = inertial loads of the motion (q, u_s)(t) + D u_s',
 
 where M and K change with the posture. It is integrated by Newmark's method, for
-several factors on the stiffness at once: f is that of the stated stiffness.
+several factors on the stiffness at once: f is that of the stated stiffness. A force
+that sets in at once finds the arm in its equilibrium without it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from scipy.spatial.distance import pdist
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes, linearised, newmark
-from cmbot.elastic.sag import TooSoftError
+from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.trajectory import QuinticTrajectory
 
 SETTLE_S = 2.0
@@ -67,6 +68,7 @@ def sway_along(
     damping: float,
     factors: Sequence[float] = (1.0,),
     steps: int = _STEPS_PER_PERIOD,
+    sets_in: bool = False,
 ) -> Sway:
     """Return the sway of an arm's tool along a motion that begins and ends at rest.
 
@@ -82,6 +84,8 @@ def sway_along(
         F factors on all stiffness.
     steps : int
         Of time, for each period of the slowest mode: motions whose acceleration jumps need twice as many.
+    sets_in : bool
+        The process force sets in when the motion begins, at once; it was there before otherwise.
     """
     count = int(np.clip(np.ceil(duration / _MAX_MATRIX_INTERVAL_S), 4, _MAX_MATRIX_POSTURES))
     knots = np.linspace(0.0, duration, count + 1)
@@ -101,13 +105,23 @@ def sway_along(
     M, K = (0.5 * (each[:-1] + each[1:])[:, None] for each in (at.mass, at.stiffness))
     K = K + (np.array(factors) - 1.0)[:, None, None] * arm.stiffness
     require_bearing(K, factors)
-    w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]))
+    start = np.zeros((len(factors), len(D)))
+    if sets_in and arm.robot.pushed:
+        # A softer arm is moved by more.
+        moved = Sag(arm.tool_off).equilibria(q[:1])[0][0] - at.u[0]
+        start = np.linalg.solve(K[0], at.stiffness[0] @ moved)
+    w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]), start)
     lever = (1 - share) * at.lever[place] + share * at.lever[place + 1]
     return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
 
 
 def stroke_sway(
-    arm: ElasticArm, trajectory: QuinticTrajectory, share: float, steps: int = _STEPS_PER_PERIOD
+    arm: ElasticArm,
+    trajectory: QuinticTrajectory,
+    share: float,
+    steps: int = _STEPS_PER_PERIOD,
+    *,
+    sets_in: bool = True,
 ) -> Sway:
     """Return the sway along a stroke, and for `SETTLE_S` after it, from its begin.
 
@@ -117,7 +131,7 @@ def stroke_sway(
     trajectory : QuinticTrajectory
     share : float
         By which all stiffness is less, as stated, and more.
-    steps : int
+    steps, sets_in
         As of `sway_along`.
     """
     begin, end = trajectory.t[0], trajectory.t[-1]
@@ -129,7 +143,7 @@ def stroke_sway(
         return x
 
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
-    return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors, steps)
+    return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors, steps, sets_in)
 
 
 def require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:

@@ -139,6 +139,7 @@ def newmark(
     loads: FloatArray,
     interval: IntArray,
     step: float,
+    start: FloatArray | float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate ``M w'' + D w' + K w = f(t)`` from rest, by constant mean acceleration (Newmark, 1959).
 
@@ -153,6 +154,8 @@ def newmark(
     interval : (N + 1, C)
         Number of the interval in which each load is at each time.
     step : float, s
+    start : (C, F, f), optional
+        w at the first time, at rest; left out: zero. Loads count from the second time on.
 
     Returns
     -------
@@ -167,6 +170,7 @@ def newmark(
     # What w and h w' are predicted to be, with which h^2 w'' and the next prediction are linear.
     x = np.zeros((times + 1, number, inverse.shape[1], 2, size))
     states, w, v = x.reshape(*x.shape[:3], -1, 1), x[..., 0, :], x[..., 1, :]
+    w[:2] = start
     changes = np.flatnonzero((interval[2:] != interval[1:-1]).any(axis=1)) + 2
     for begin, end in pairwise([1, *changes.tolist(), times]):
         resists = by_state[interval[begin]]

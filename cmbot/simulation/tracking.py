@@ -323,8 +323,12 @@ def track_work(
     SimulationDiverged
         When the motion cannot be integrated.
     """
-    modes = arm_modes(arm, work.postures(np.zeros(1))[0])
-    start = modes.u if options.initial == "equilibrium" else np.zeros_like(modes.u)
+    first = work.postures(np.zeros(1))
+    modes = arm_modes(arm, first[0])
+    # The tool comes on when the work begins.
+    start = Sag(arm.tool_off).equilibria(first)[0][0]
+    if options.initial != "equilibrium":
+        start = np.zeros_like(start)
     loaded = {True: arm, False: arm.tool_off}
     motions: list[DrivenMotion] = [part.motion for part in work.parts]
     forces = [loaded[part.path is not None].external_forces for part in work.parts]

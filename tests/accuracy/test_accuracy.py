@@ -16,12 +16,15 @@ import cmbot
 from cmbot.accuracy import Part, Shaking, assumed_in_words, parts_of, sway_along
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
+from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.planning import Plan, bending_arm, plan, verdict
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Tolerance, Uncertainty
 from cmbot.simulation import SimulationOptions, simulate
+from cmbot.trajectory import QuinticTrajectory
 
 UNKNOWN = Uncertainty(workpiece=Placement(mm=1.0, deg=0.1))
 
@@ -139,6 +142,34 @@ def test_the_sway_is_that_of_the_simulation(bent: Plan, arm: ElasticArm) -> None
         tracking = simulate(bent, each).planned
         expected = np.linalg.norm(tracking.dynamic[:, :3], axis=1).max()
         assert np.linalg.norm(tool, axis=1).max() == pytest.approx(expected, rel=0.1)
+
+
+def test_a_force_that_sets_in_at_once_swings_the_tool(arm: ElasticArm, q: FloatArray) -> None:
+    """From the equilibrium without it, as integrated; were it there before, nothing would move."""
+    pushed = replace(arm, robot=replace(arm.robot, tool_force=(30.0, 0.0, -100.0)))
+
+    def still(t: FloatArray, order: int) -> FloatArray:
+        return np.tile(q[0] if order == 0 else 0 * q[0], (len(t), 1))
+
+    factors, ratio, seconds = (0.8, 1.0), 0.02, 1.0
+    assert not sway_along(pushed, still, seconds, ratio, factors).tool.any()
+    sway = sway_along(pushed, still, seconds, ratio, factors, steps=500, sets_in=True)
+    coarse = sway_along(pushed, still, seconds, ratio, factors, sets_in=True)
+    damping = arm_modes(pushed, q[0]).damping(ratio) + arm.damping
+    for factor, tool, rough in zip(factors, sway.tool, coarse.tool, strict=True):
+        softer = replace(pushed, stiffness=factor * arm.stiffness)
+        system = ElasticSystem.of(softer, damping)
+        integrator = GeneralizedAlpha(system, step=2e-4, rho_inf=1.0, corrections=2)
+        start = Sag(softer.tool_off).equilibria(q[:1])[0][0]
+        held = QuinticTrajectory.held(q[0], seconds)
+        moved = integrator.run([held], start, 0 * start)
+        points = softer.tool_points(moved.joints, moved.u, softer.model.createData())
+        rest = softer.tool_points(q[:1], Sag(softer).equilibria(q[:1])[0], softer.model.createData())
+        own = np.stack([np.interp(moved.t, sway.t, column) for column in tool.T], axis=1)
+        most = np.linalg.norm(points - rest, axis=1).max()
+        assert most > 1e-4
+        assert np.linalg.norm(rough, axis=1).max() == pytest.approx(most, rel=0.05)
+        assert np.abs(own - (points - rest)).max() < 0.03 * most
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])

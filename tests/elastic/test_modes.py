@@ -208,3 +208,8 @@ def test_newmark_follows_an_oscillator_whose_stiffness_changes() -> None:
         np.testing.assert_allclose(own[5001:], free, atol=5e-3 * still)
         ends = speed * np.cos(half * left[-1]) - place * half * np.sin(half * left[-1])
         np.testing.assert_allclose(v[load, stiff, 0], ends, atol=2e-2 * still * first)
+    # Where it begins elsewhere it swings about where the load is borne.
+    displaced, _ = newmark(M, 0 * K, K, loads, np.repeat(interval, 2, axis=1), step, np.array([[1.0], [2.0]]))
+    free = np.array([1.0, 2.0]) * np.cos(omega * t[:5001, None])
+    for load in range(2):
+        np.testing.assert_allclose((displaced - w)[:5001, load, :, 0], free, atol=5e-3)

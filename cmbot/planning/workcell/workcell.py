@@ -122,7 +122,7 @@ class Workcell(ShortRepr):
     def sway_of(self, trajectory: QuinticTrajectory) -> tuple[float, float]:
         """Return the largest sway and swing of a stroke, m, over the interval of the stiffness.
 
-        Zero where nothing bends.
+        Zero where nothing bends. What a process force adds as it sets in no motion changes: it is left out.
 
         Raises
         ------
@@ -130,13 +130,17 @@ class Workcell(ShortRepr):
             Where the base does not bear the arm at the least stiffness.
         """
         share = self.options.quiet_stiffness_share
-        return (0.0, 0.0) if self.arm is None else stroke_sway(self.arm, trajectory, share).largest
+        if self.arm is None:
+            return 0.0, 0.0
+        return stroke_sway(self.arm, trajectory, share, sets_in=False).largest
 
     def sway_of_legs(self, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
         """Return the largest sway (L,), m, on legs that begin or end at L + 1 times, s; errors as above."""
         share = self.options.quiet_stiffness_share
         legs = np.zeros(len(times) - 1)
-        return legs if self.arm is None else stroke_sway(self.arm, trajectory, share).of_legs(times)
+        if self.arm is None:
+            return legs
+        return stroke_sway(self.arm, trajectory, share, sets_in=False).of_legs(times)
 
     def lowest_frequency(self, q: FloatArray) -> float | None:
         """Return the lowest natural frequency, Hz, in posture `q` (n,); None where nothing bends.
