@@ -37,7 +37,7 @@ def held_scene(keep: Any = "pose", stand_off: float = 0.02, tool: Any = None, **
             "tool": {"fixed": TOOL, **(tool or {})},
             "tool_path": path,
             "obstacles": [{"name": "nozzle", **nozzle}],
-            "planner": {"baseline": "none", "safety_margin_m": 0.01},
+            "planner": {"baseline": "none", "safety_margin_m": 0.01, "objective": "travel"},
             "guardrail": {"bays": 0},
             **blocks,
         }

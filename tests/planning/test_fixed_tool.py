@@ -77,7 +77,7 @@ def test_a_held_pose_is_the_job_of_the_flange_that_moves_the_other_way() -> None
     moved = {"xyz": [0.5 + 0.03, 0.0 - 0.03, 0.3 + FACE + 0.02], "rpy_deg": [180, 0, 0]}
     usual = held | {"from": moved, "legs": [{"by": [-0.06, 0, 0], "seconds": 3}]}
     one, other = (
-        plan(held_scene(tool_path=path, **more))
+        plan(held_scene(tool_path=path, **more).with_options(objective="torque"))
         for path, more in ((held, {}), (usual, {"tool": {"fixed": None}}))
     )
     assert one.torque_floor_kind == other.torque_floor_kind == "proven"
