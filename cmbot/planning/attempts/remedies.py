@@ -227,15 +227,17 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
     """Where the tool strays from its path between via-points: more of them, which hold it more often.
 
     Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
-    bound needs sqrt(r) times the segments; twice as many are tried first. They help no guess that leaps.
+    bound needs sqrt(r) times the segments; twice as many are tried first, as where the arm collides between
+    via-points. They help no guess that leaps.
     """
     request, guess = trial.attempt.request, trial.attempt.guess
+    count = len(request.times) - 1
+    if isinstance(guess, InitialGuess) and leap(request, guess.problem.parametrization.via_points):
+        return
     match trial.outcome:
         case NoTrajectory(broken=ToolOff(ratio=ratio)) | Uncertified(broken=ToolOff(ratio=ratio)):
-            form = guess.problem.parametrization if isinstance(guess, InitialGuess) else None
-            if ratio <= 1.0 or (form is not None and leap(request, form.via_points)):
+            if ratio <= 1.0:
                 return
-            count = len(request.times) - 1
             if ratio <= 1.0 + _MISSED and _MORE_VIA_POINTS_FACTOR * count < _MOST_OF_THEM:
                 number = int(np.ceil(_MORE_VIA_POINTS_FACTOR * count)) + 1
                 yield from _with_via_points(trial, number, "the tool strays a little")
@@ -244,6 +246,9 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
                 number = factor * (len(request.times) - 1) + 1
                 if number <= _MOST_VIA_POINTS:
                     yield from _with_via_points(trial, number, "the tool strays between via-points")
+        case Uncertified(broken=NearObstacle(distance=distance)) if distance < 0:
+            if (number := _FINER[0] * count + 1) <= _MOST_VIA_POINTS:
+                yield from _with_via_points(trial, number, "the arm collides between via-points")
 
 
 def _fewer_via_points(trial: AnyTrial) -> Iterator[Attempt]:
@@ -271,7 +276,10 @@ def _with_via_points(trial: AnyTrial, number: int, why: str) -> Iterator[Attempt
 
 def _tell_via_points(before: AnyTrial, after: AnyTrial) -> str:
     count, number = (len(trial.attempt.request.times) for trial in (before, after))
-    reason = "the tool strays from its path between them" if number > count else "no trajectory was found"
+    reason = "no trajectory was found"
+    if number > count:
+        collides = isinstance(before.outcome, Uncertified) and isinstance(before.outcome.broken, NearObstacle)
+        reason = "splines collide between them" if collides else "the tool strays from its path between them"
     key = f"{after.attempt.request.stroke.key}.via_points {number}"
     return f"With {count} via-points {reason} ({in_words(before.failure)}): planned with {key} instead."
 

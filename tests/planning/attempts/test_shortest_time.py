@@ -15,12 +15,14 @@ from small_scenes import request_of, short_scene
 from cmbot import load_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import LimitViolation, PathNotFound, PlanningError, SceneError
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError, SceneError
 from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan, planner
-from cmbot.planning.attempts.agenda import Agenda, Solved, Trial
+from cmbot.planning.attempts import shortest_time
+from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified, failure_of
+from cmbot.planning.attempts.motion import certified_motion
 from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHED_LAWS
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
@@ -115,6 +117,26 @@ def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Gen
     copp = time_laws.copp_seconds(q, cmbot_robot.limits)
     assert 0.99 * copp < seconds < 1.05 * copp
     assert time_laws.toppra_seconds(q, cmbot_robot.limits) < copp
+
+
+@pytest.mark.parametrize(("collides", "numbers"), [(True, [15, 8]), (False, [8])])
+def test_a_guess_that_collides_between_via_points_is_optimised_after_a_denser_one(
+    monkeypatch: pytest.MonkeyPatch, collides: bool, numbers: list[int]
+) -> None:
+    request = request_of(short_scene(tool_path={"legs": [LEG], "seconds": "auto"}))
+    asked = list[int]()
+
+    def fails(problem: Any, *rest: Any) -> Any:
+        asked.append(len(problem.space.t))
+        raise OptimisationFailed("no", constraint="it", violation=1.0, limit=Limit.OTHER)
+
+    near = LimitViolation("it", time=1.0, value=-0.01, bound=0.02, unit="m", limit=Limit.CLEARANCE)
+    monkeypatch.setattr(shortest_time, "optimise", fails)
+    monkeypatch.setattr(shortest_time, "collision", lambda problem: near if collides else None)
+    first, better = Attempt.of(request), Remedy[Attempt, Any](cost=1, propose=lambda trial: iter(()))
+    found = shortest_time.in_shortest_time(first, Budget(runs=8), certified_motion, better)
+    assert not isinstance(found.outcome, Solved)
+    assert asked[: len(numbers)] == numbers
 
 
 def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
