@@ -81,7 +81,10 @@ class SplineSpace:
         knots = np.arange(len(self.t))
         window = np.clip(knots - SUPPORT // 2, 0, self.dimension - 1)
         rhs = -np.take_along_axis(jumps[window], (knots - window)[:, None, None], axis=2)
-        y = (np.linalg.pinv(conditions[window]) @ rhs)[..., 0] / unit[window]
+        inverse = np.linalg.pinv(conditions[window])
+        y = inverse @ rhs
+        # What it leaves of jumps would be far beyond the last digits of positions.
+        y = (y + inverse @ (rhs - conditions[window] @ y))[..., 0] / unit[window]
         where = np.broadcast_to(knots[:, None], y.shape)
         values = np.concatenate([y.ravel(), np.ones(len(knots))])
         rows = np.concatenate([free[window].ravel(), 3 * knots])

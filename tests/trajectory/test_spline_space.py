@@ -126,6 +126,16 @@ def test_short_segments_among_long_ones_lose_no_digits(n: int, decades: float, s
     assert (np.abs(trajectory.jumps(3)[:, 0]) <= 1e-13 * np.maximum(jerk[1:], jerk[:-1])).all()
 
 
+@pytest.mark.parametrize("seed", [0, 4, 7])
+def test_splines_of_one_knot_jump_by_the_last_digits_of_positions_alone(seed: int) -> None:
+    """A position that is off by one digit moves the jerk by 60 of them in the units of its segments."""
+    t = np.cumsum(np.repeat(10.0 ** np.random.default_rng(seed).uniform(-2, -0.5, size=20), 5))
+    space = SplineSpace(t)
+    jumps = np.abs(space.trajectory(space.cardinal.toarray()).jumps(3)).max(axis=1)
+    shorter = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
+    assert (jumps * shorter**3 / (60 * np.finfo(float).eps)).max() < 500
+
+
 @every_space
 def test_basis_splines_vanish_at_knots_and_live_on_four_segments(kind: str, n: int) -> None:
     space = space_of(kind, n)
