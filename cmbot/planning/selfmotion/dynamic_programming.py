@@ -23,6 +23,8 @@ from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, wea
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
 _STEP_WEIGHT = 0.02
+# Nodes beside one that is refused whose clearances are computed with it.
+_NEIGHBOURS = 32
 # A step in units of itself, with room for rounding.
 _MAX_UNIT_STEP = 1 + 1e-9
 # Of the refinement: postures drawn around each in every round, rounds, the factor of their distance from one
@@ -166,11 +168,12 @@ class BottleneckDynamicProgram:
             refused = np.flatnonzero(check_clearances(self.layers, chosen))
             if len(refused) == 0:
                 return chosen
-            # Neighbours of a refused node are likely to be refused, too. The neighbourhood grows from round
-            # to round, so that there are few rounds.
+            # Neighbours of a refused node are likely to be refused, too. They reach further from round to
+            # round, so that there are few rounds.
             distance = np.abs(np.arange(len(self.layers))[:, None] - refused).min(axis=1)
-            near = [layer for layer, away in zip(self.layers, distance, strict=True) if away <= around]
-            check_clearances(near, [layer.admissible & (layer.chart.value <= peak) for layer in near])
+            near = np.flatnonzero(distance <= around).tolist()
+            some = [_neighbours(self.layers[k], chosen[k], peak) for k in near]
+            check_clearances([self.layers[k] for k in near], some)
             around = 2 * around + 1
 
     def _least_peak(self) -> float:
@@ -209,6 +212,13 @@ class BottleneckDynamicProgram:
         for origin in reversed(came_from):
             chosen.append(int(origin[chosen[-1]]))
         return chosen[::-1]
+
+
+def _neighbours(layer: GraphLayer, node: int, peak: float) -> IntArray:
+    """The nodes nearest to one of a layer that may be admissible, with values up to `peak`."""
+    nodes = layer.unchecked(layer.admissible & (layer.chart.value <= peak))
+    away = np.abs(layer.chart.q[nodes] - layer.chart.q[node]).max(axis=1)
+    return nodes[np.argsort(away, kind="stable")[:_NEIGHBOURS]]
 
 
 def refine(
