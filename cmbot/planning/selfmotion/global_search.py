@@ -166,7 +166,8 @@ class GlobalSearch:
                 known = None
                 self._bound, self._lowest = find_lower_bound(request, self._layers, sampler.spacing)
                 at = self._bound.via_point
-                if request.deadline.expired():
+                # A constant is no lower in postures that charts miss.
+                if self._layers[at].chart.value.max() <= self._bound.value or request.deadline.expired():
                     break
             else:
                 at = empty
