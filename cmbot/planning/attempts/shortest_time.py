@@ -18,7 +18,14 @@ from cmbot.common.limit import Limit
 from cmbot.planning.attempts.advice import SLOWER_LEGS, slower_legs
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
-from cmbot.planning.attempts.failure import Failure, NoWay, Uncertified, attempted, briefly, failure_of
+from cmbot.planning.attempts.failure import (
+    Failure,
+    NoWay,
+    Uncertified,
+    attempted,
+    briefly,
+    failure_of,
+)
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import MORE_VIA_POINTS, REMEDIES
 from cmbot.planning.budget import Budget
@@ -112,7 +119,7 @@ def in_given_time(
     strokes = (*request.strokes[: request.number], own, *request.strokes[request.number + 1 :])
     request = replace(request, strokes=strokes)
     laws = tuple(law.slowed(factor) for law, factor in zip(known, factors, strict=True))
-    attempt = fast.attempt.in_timing(Timing.along(request, motion, (), laws))
+    attempt = fast.attempt.in_timing(Timing.along(request, motion, laws))
     if not isinstance(attempt, Attempt) or not isinstance(outcome := work(attempt), Solved):
         return None
     return Trial(attempt=attempt, outcome=outcome, remedy=SLOWED_LAWS, parent=refused)
@@ -148,22 +155,23 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     return attempted(attempt.request, lambda: Solved(result=optimise(guess.problem)))
 
 
-def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[RoughLaw, ...] | Failure:
-    """Laws of few phases along the joint path of a motion."""
+def _roughly_timed(
+    before: Attempt, trajectory: QuinticTrajectory, known: Sequence[RoughLaw] = ()
+) -> tuple[RoughLaw, ...] | Failure:
+    """Laws of few phases along the joint path of a motion, sought from those of another path."""
     request = before.request
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory))))
+    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory), known)))
 
 
-def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
+def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: tuple[RoughLaw, ...]) -> Timing:
     """The shortest time along the joint path of a motion, by laws sought from rough ones."""
     request = before.request
     known = {law.leg: law for law in request.stroke.file.time_laws or ()}
     shortest = tuple(shortest_law_of(law, known.get(law.path.leg)) for law in rough)
-    timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
-    timing = replace(timing, rough=_seconds(rough))
+    timing = Timing.along(request, trajectory, shortest, rough)
     if request.cell.arm is None:
         return timing
     pairs = zip(rough, shortest, strict=True)
@@ -219,9 +227,9 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
     trajectory = solved.result.work.trajectory
-    rough = _roughly_timed(trial.attempt, trajectory)
+    rough = _roughly_timed(trial.attempt, trajectory, timing.rough)
     # Rough laws cost little, and tell by which share others are shorter.
-    if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
+    if not isinstance(rough, tuple) or timing.seconds * _seconds(rough) > known * _seconds(timing.rough):
         return
     shorter = _timing(trial.attempt, trajectory, rough)
     # A little longer than the shortest is shorter than before; where that was needed, it is again.
