@@ -73,6 +73,11 @@ class InitialGuess:
         None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
     )
 
+    def asked(self, request: StrokeRequest) -> InitialGuess:
+        """Return the same splines for a problem of other bounds."""
+        form = self.problem.parametrization
+        return replace(self, problem=TorqueProblem(request, form, self.lower_bound.value))
+
 
 def initial_guess(
     request: StrokeRequest, search: GlobalSearch | None = None, *, stay: bool = False

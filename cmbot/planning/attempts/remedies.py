@@ -91,8 +91,7 @@ def _spare_clearance(trial: AnyTrial) -> Iterator[Attempt]:
             missing = f"{1e3 * (bound - value):.2g} mm of clearance are missing"
             request.reporter.stage("path")
             request.reporter.step(f"{missing}; planning with more of it")
-            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
-            yield from _changed(attempt, replace(guess, problem=problem), request=request)
+            yield from _changed(attempt, guess.asked(request), request=request)
 
 
 def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
@@ -115,12 +114,12 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
             request = replace(attempt.request, tool_share=share)
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
-            problem = TorqueProblem(request, guess.problem.parametrization, guess.lower_bound.value)
+            nearer = guess.asked(request)
             if (last := failure.trajectory) is not None and request.cell.sag is None:
                 # Where it ended is a little off what is asked now.
                 near = attempted(request, partial(problem_near, request, guess, last.q, near=last))
-                problem = near if isinstance(near, TorqueProblem) else problem
-            yield from _changed(attempt, replace(guess, problem=problem), request=request)
+                nearer = replace(guess, problem=near) if isinstance(near, TorqueProblem) else nearer
+            yield from _changed(attempt, nearer, request=request)
 
 
 def _tell_nearer(before: AnyTrial, after: AnyTrial) -> str:

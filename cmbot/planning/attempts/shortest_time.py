@@ -20,7 +20,9 @@ from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
 from cmbot.planning.attempts.failure import (
     Failure,
+    NoTrajectory,
     NoWay,
+    ToolOff,
     Uncertified,
     attempted,
     briefly,
@@ -41,6 +43,8 @@ from cmbot.trajectory import QuinticTrajectory
 _STRETCHED = (1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0)
 # Those of laws along the path that was planned last.
 _FASTER = (1.0, 1.01, 1.06, 1.2)
+# So many times its bounds the tool may be off its path between via-points of a slow motion.
+_LOOSE_TOOL = 10.0
 # Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
 _MAX_LAW_ROUNDS, _WORTHWHILE_TIME_SHARE = 8, 0.99
 
@@ -148,11 +152,19 @@ def _denser(first: Attempt, budget: Budget) -> Trial[Attempt, Optimised] | None:
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
-    """A motion whose limits hardly matter: its via-points are where the objective is least."""
-    guess = attempt.guess
+    """A motion whose limits hardly matter: its via-points are where the objective is least.
+
+    What holds the tool between them is loose: it makes steps short, and the joint path is put onto the task.
+    How far the tool is off where even so no motion is found is told by the bounds that are asked for.
+    """
+    request, guess = attempt.request, attempt.guess
     if not isinstance(guess, InitialGuess):
         return guess
-    return attempted(attempt.request, lambda: Solved(result=optimise(guess.problem)))
+    loose = guess.asked(replace(request, tool_share=_LOOSE_TOOL)).problem
+    found = attempted(request, lambda: Solved(result=optimise(loose)))
+    if isinstance(found, NoTrajectory) and isinstance(found.broken, ToolOff):
+        return attempted(request, lambda: Solved(result=optimise(guess.problem)))
+    return found
 
 
 def _roughly_timed(

@@ -34,6 +34,9 @@ _OPTIMALITY_SHARE, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
 # And where so many steps do not bring violations beyond this down to that share: hardly any trajectory near
 # keeps the constraints.
 _INFEASIBLE_STEPS, _INFEASIBLE_SHARE, _INFEASIBLE_VIOLATION = 6, 0.5, 0.3
+# Its first trust region where the tool is held loosely: what holds it else keeps first steps from going far
+# into obstacles, which are not known yet.
+_LOOSE_RADIUS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,8 +88,9 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
         try:
             return _in_segments(problem, parts, progress)
         except OptimisationFailed as failure:
-            # To rest at every end of a segment may be too much to ask; the whole path does not ask it.
-            if not _is_near_end(problem, parts, failure):
+            # To rest at every end of a segment may be too much to ask; the whole path does not ask it. Laws
+            # that were sought along a joint path rest there anyway.
+            if _is_timed(problem) or not _is_near_end(problem, parts, failure):
                 raise
             because = failure.reason
     if problem.parametrization.retraction is None:
@@ -159,10 +163,17 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             infeasible_violation=_INFEASIBLE_VIOLATION,
             feasibility_tolerance=_SQP_TOLERANCE_SHARE * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
+            initial_radius=_LOOSE_RADIUS if problem.request.tool_share > 1.0 else SqpOptions.initial_radius,
         ),
         stop=problem.request.deadline.expired,
         stop_reason=lambda: problem.request.deadline.over_in_words,
     )
+
+
+def _is_timed(problem: TorqueProblem) -> bool:
+    """Whether all legs of the path have laws along a joint path."""
+    stroke = problem.request.stroke
+    return len(stroke.file.time_laws or ()) == len(stroke.path.segments)
 
 
 def _is_near_end(problem: TorqueProblem, parts: list[tuple[int, int]], failure: OptimisationFailed) -> bool:

@@ -128,6 +128,8 @@ def test_a_guess_that_collides_between_via_points_is_optimised_after_a_denser_on
 
     def fails(problem: Any, *rest: Any) -> Any:
         asked.append(len(problem.space.t))
+        # Such a motion is only needed for its joint path.
+        assert problem.request.tool_share > 1.0
         raise OptimisationFailed("no", constraint="it", violation=1.0, limit=Limit.OTHER)
 
     near = LimitViolation("it", time=1.0, value=-0.01, bound=0.02, unit="m", limit=Limit.CLEARANCE)

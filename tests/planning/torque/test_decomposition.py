@@ -13,10 +13,13 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning import plan, remarks
 from cmbot.planning.certification.certificate import certify
+from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.timing.timing import in_time
 from cmbot.planning.torque import decomposition
 from cmbot.planning.torque.decomposition import optimise, segments
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.scene import Scene
+from cmbot.toolpath import LegLaw
 
 LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 
@@ -132,11 +135,15 @@ def test_where_a_segment_fails_the_path_is_solved_as_a_whole(
     assert load_plan(save(made, tmp_path / "plan")).fallbacks == (said,)
 
 
-@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize(("near", "timed"), [(False, False), (True, False), (True, True)])
 def test_a_segment_that_fails_far_from_its_ends_fails_on_the_whole_path(
-    monkeypatch: pytest.MonkeyPatch, near: bool
+    monkeypatch: pytest.MonkeyPatch, near: bool, timed: bool
 ) -> None:
+    """So does one where all legs have laws along a joint path, which rests at all ends anyway."""
     problem = problem_of(to_and_fro("sliding"))
+    if timed:
+        laws = [LegLaw(leg=k, seconds=(1.5, 1.5), jerk=(0.0, 1.0, 0.0)) for k in range(len(LEGS))]
+        problem = initial_guess(in_time(problem.request, laws)).problem
     monkeypatch.setattr(decomposition, "_RESTING", 2)
     (_, end), *_ = segments(problem)
     time = float(problem.space.t[end - (1 if near else 4)])
@@ -145,7 +152,7 @@ def test_a_segment_that_fails_far_from_its_ends_fails_on_the_whole_path(
         raise OptimisationFailed("nothing to be done", constraint="any", violation=1.0, time=time)
 
     monkeypatch.setattr(TorqueProblem, "segment", failing)
-    if near:
+    if near and not timed:
         assert optimise(problem).whole_because == "nothing to be done"
     else:
         with pytest.raises(OptimisationFailed, match="nothing to be done"):
