@@ -108,7 +108,7 @@ class Attempt:
                 unshaped = optimised.trajectory
 
         def simulated(laws: tuple[LegLaw, ...]) -> FloatArray:
-            timed = self.in_timing(Timing.along(request, unshaped, laws))
+            timed = self.in_timing(Timing.along(request, unshaped, (), laws))
             if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
                 return np.full(len(request.task.path.segments), np.inf)
             times = timed.request.task.path.leg_times
@@ -118,7 +118,7 @@ class Attempt:
         own = replace(self, more_time=more_time)
         if not laws:
             return own
-        timed = own.in_timing(Timing.along(request, unshaped, laws))
+        timed = own.in_timing(Timing.along(request, unshaped, (), laws))
         if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
             return own
         shaped = timed.guess.problem.parametrization.trajectory

@@ -123,7 +123,7 @@ def in_given_time(
     strokes = (*request.strokes[: request.number], own, *request.strokes[request.number + 1 :])
     request = replace(request, strokes=strokes)
     laws = tuple(law.slowed(factor) for law, factor in zip(known, factors, strict=True))
-    attempt = fast.attempt.in_timing(Timing.along(request, motion, laws))
+    attempt = fast.attempt.in_timing(Timing.along(request, motion, (), laws))
     if not isinstance(attempt, Attempt) or not isinstance(outcome := work(attempt), Solved):
         return None
     return Trial(attempt=attempt, outcome=outcome, remedy=SLOWED_LAWS, parent=refused)
@@ -167,23 +167,22 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     return found
 
 
-def _roughly_timed(
-    before: Attempt, trajectory: QuinticTrajectory, known: Sequence[RoughLaw] = ()
-) -> tuple[RoughLaw, ...] | Failure:
-    """Laws of few phases along the joint path of a motion, sought from those of another path."""
+def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[RoughLaw, ...] | Failure:
+    """Laws of few phases along the joint path of a motion."""
     request = before.request
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory), known)))
+    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory))))
 
 
-def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: tuple[RoughLaw, ...]) -> Timing:
+def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
     """The shortest time along the joint path of a motion, by laws sought from rough ones."""
     request = before.request
     known = {law.leg: law for law in request.stroke.file.time_laws or ()}
     shortest = tuple(shortest_law_of(law, known.get(law.path.leg)) for law in rough)
-    timing = Timing.along(request, trajectory, shortest, rough)
+    timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
+    timing = replace(timing, rough=_seconds(rough))
     if request.cell.arm is None:
         return timing
     pairs = zip(rough, shortest, strict=True)
@@ -239,9 +238,9 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
     trajectory = solved.result.work.trajectory
-    rough = _roughly_timed(trial.attempt, trajectory, timing.rough)
+    rough = _roughly_timed(trial.attempt, trajectory)
     # Rough laws cost little, and tell by which share others are shorter.
-    if not isinstance(rough, tuple) or timing.seconds * _seconds(rough) > known * _seconds(timing.rough):
+    if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
         return
     shorter = _timing(trial.attempt, trajectory, rough)
     # A little longer than the shortest is shorter than before; where that was needed, it is again.

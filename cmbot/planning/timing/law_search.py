@@ -127,8 +127,8 @@ def shortest_law(
     phases : int
         K, at least 6.
     known : sequence of (k,), optional
-        Jerk at the nodes of laws in which the search begins, in place of the smoothest one. It also begins
-        with one of half the phases where none of them has fewer: programs find the optimum nearest to it.
+        Jerk at the nodes of laws in which the search begins. Without them it begins with the smoothest law
+        and with one of half the phases: programs find the optimum nearest to where they begin.
 
     Returns
     -------
@@ -136,10 +136,11 @@ def shortest_law(
         The duration is infinite where a bound is exceeded at rest.
     """
     space = _Nodes(phases)
-    laws = list(known) or [np.zeros(2)]
-    if phases >= _MIN_REFINED_PHASES and not any(len(jerk) <= phases for jerk in known):
+    laws = list(known)
+    if not laws:
         # From few nodes programs get further.
-        laws.append(shortest_law(bounded, phases // 2)[0])
+        refined = phases >= _MIN_REFINED_PHASES
+        laws = [np.zeros(2), *([shortest_law(bounded, phases // 2)[0]] if refined else [])]
     points = _Points(space, phases * _POINTS_PER_PHASE, bounded)
     descents = [_Descent(points, space.like(jerk)).go_on(_FIRST_PROGRAMS) for jerk in laws]
     best = min(descents, key=lambda descent: descent.seconds).go_on(_MAX_PROGRAMS)

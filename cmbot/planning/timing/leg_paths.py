@@ -159,26 +159,21 @@ def bounds_along(
     return bounded
 
 
-def rough_laws(
-    request: StrokeRequest, paths: Sequence[LegPath], known: Sequence[RoughLaw] = ()
-) -> Iterator[RoughLaw]:
+def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[RoughLaw]:
     """Yield laws of few phases along joint paths within a request's limits, in which others are sought.
-
-    They are sought from those `known` of other paths on the same legs.
 
     Raises
     ------
     LimitViolation
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
-    task, starts = request.task, {law.path.leg: [law.jerk] for law in known}
+    task = request.task
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
     for each in paths:
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        few = phases // 2 if phases >= 2 * each.segments else phases
-        jerk, seconds = shortest_law(bounded, few, starts.get(each.leg, ()))
+        jerk, seconds = shortest_law(bounded, phases // 2 if phases >= 2 * each.segments else phases)
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
         yield RoughLaw(path=each, bounded=bounded, phases=phases, jerk=jerk, seconds=seconds)

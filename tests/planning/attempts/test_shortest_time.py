@@ -28,7 +28,7 @@ from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.timing.law_search import Bounded, shortest_law
-from cmbot.planning.timing.leg_paths import bounds_along, leg_paths, rough_laws
+from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
@@ -128,8 +128,6 @@ def test_a_guess_that_collides_between_via_points_is_optimised_after_a_denser_on
 
     def fails(problem: Any, *rest: Any) -> Any:
         asked.append(len(problem.space.t))
-        # Such a motion is only needed for its joint path.
-        assert problem.request.tool_share > 1.0
         raise OptimisationFailed("no", constraint="it", violation=1.0, limit=Limit.OTHER)
 
     near = LimitViolation("it", time=1.0, value=-0.01, bound=0.02, unit="m", limit=Limit.CLEARANCE)
@@ -148,7 +146,7 @@ def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
     law = LegLaw(leg=0, seconds=(2.0,) * 3, jerk=(0.0, 1.0, -1.0, 0.0))
     for number in (26, 31):
         denser = replace(request, times=request.task.path.via_times(number))
-        timed = first.in_timing(Timing.along(denser, problem.parametrization.trajectory, (law,)))
+        timed = first.in_timing(Timing.along(denser, problem.parametrization.trajectory, (), (law,)))
         assert isinstance(timed, Attempt)
         assert timed.request.times[-1] == pytest.approx(6.0)
         np.testing.assert_array_equal(timed.guess.problem.space.t, timed.request.times)  # type: ignore[union-attr]
@@ -298,10 +296,10 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     timing = Timing(
         request=asked,
         trajectory=trajectory,
+        paths=leg_paths(asked, [0, 1], trajectory),
         laws=laws,
         factors=np.ones(2),
         at_fault=np.zeros(2, dtype=np.bool_),
-        rough=tuple(rough_laws(asked, leg_paths(asked, [0, 1], trajectory))),
     )
     timed = in_time(asked, laws)
     first = Attempt(request=timed, guess=initial_guess(timed), timing=timing)

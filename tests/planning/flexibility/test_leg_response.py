@@ -132,7 +132,7 @@ def test_laws_by_which_the_optimised_motion_sways_more_are_given_up(monkeypatch:
             return attempt
         tried.append(LegLaw.of(0, TimeLaw.ramped("quiet", 0.15, 0.7, 0.15), 4.0))
         path = attempt.guess.problem.parametrization.trajectory
-        timed = attempt.in_timing(Timing.along(attempt.request, path, tuple(tried)))
+        timed = attempt.in_timing(Timing.along(attempt.request, path, (), tuple(tried)))
         assert isinstance(timed, Attempt)
         return timed
 
