@@ -24,7 +24,7 @@ from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, wea
 # objective.
 _STEP_WEIGHT = 0.02
 # Nodes beside one that is refused whose clearances are computed with it.
-_NEIGHBOURS = 32
+_CHECKED_BESIDE = 32
 # A step in units of itself, with room for rounding.
 _MAX_UNIT_STEP = 1 + 1e-9
 # Of the refinement: postures drawn around each in every round, rounds, the factor of their distance from one
@@ -218,7 +218,7 @@ def _neighbours(layer: GraphLayer, node: int, peak: float) -> IntArray:
     """The nodes nearest to one of a layer that may be admissible, with values up to `peak`."""
     nodes = layer.unchecked(layer.admissible & (layer.chart.value <= peak))
     away = np.abs(layer.chart.q[nodes] - layer.chart.q[node]).max(axis=1)
-    return nodes[np.argsort(away, kind="stable")[:_NEIGHBOURS]]
+    return nodes[np.argsort(away, kind="stable")[:_CHECKED_BESIDE]]
 
 
 def refine(
