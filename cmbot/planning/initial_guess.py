@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
+from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
@@ -152,28 +152,6 @@ def leap_failure(problem: TorqueProblem) -> OptimisationFailed | None:
     )
     failure.limit = Limit.LEAP
     return failure
-
-
-def collision(problem: TorqueProblem) -> LimitViolation | None:
-    """Return how deep the arm collides in the middle between via-points where a problem starts, if it does.
-
-    The via-points themselves keep the safety margin: they are too far apart for splines to keep clear.
-    """
-    cell, t = problem.request.cell, problem.space.t
-    middles = 0.5 * (t[1:] + t[:-1])
-    smallest = cell.clearances.query(problem.parametrization.trajectory.evaluate(middles))
-    worst = int(smallest.distance.argmin())
-    if (distance := float(smallest.distance[worst])) >= 0.0:
-        return None
-    pair = cell.clearances.pairs[int(smallest.pair[worst])]
-    return LimitViolation(
-        f"clearance of {pair.link} from {pair.other}{pair.touching}",
-        time=float(middles[worst]),
-        value=distance,
-        bound=cell.options.safety_margin_m,
-        unit="m",
-        limit=Limit.CLEARANCE,
-    )
 
 
 def furthest(request: StrokeRequest, guess: InitialGuess) -> float:

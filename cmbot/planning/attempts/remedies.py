@@ -245,7 +245,7 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
                 number = factor * (len(request.times) - 1) + 1
                 if number <= _MOST_VIA_POINTS:
                     yield from _with_via_points(trial, number, "the tool strays between via-points")
-        case Uncertified(broken=NearObstacle(distance=distance)) if distance < 0:
+        case NoTrajectory(broken=NearObstacle(distance=distance)) if distance < 0:
             if (number := _FINER[0] * count + 1) <= _MOST_VIA_POINTS:
                 yield from _with_via_points(trial, number, "the arm collides between via-points")
 
@@ -275,12 +275,11 @@ def _with_via_points(trial: AnyTrial, number: int, why: str) -> Iterator[Attempt
 
 def _tell_via_points(before: AnyTrial, after: AnyTrial) -> str:
     count, number = (len(trial.attempt.request.times) for trial in (before, after))
-    reason = "no trajectory was found"
-    if number > count:
-        collides = isinstance(before.outcome, Uncertified) and isinstance(before.outcome.broken, NearObstacle)
-        reason = "splines collide between them" if collides else "the tool strays from its path between them"
+    failure = before.failure
+    strays = isinstance(failure, NoTrajectory | Uncertified) and isinstance(failure.broken, ToolOff)
+    reason = "the tool strays from its path between them" if strays else "no trajectory was found"
     key = f"{after.attempt.request.stroke.key}.via_points {number}"
-    return f"With {count} via-points {reason} ({in_words(before.failure)}): planned with {key} instead."
+    return f"With {count} via-points {reason} ({in_words(failure)}): planned with {key} instead."
 
 
 def _another_start(trial: AnyTrial) -> Iterator[Attempt]:

@@ -26,12 +26,11 @@ from cmbot.planning.attempts.failure import (
     Uncertified,
     attempted,
     briefly,
-    failure_of,
 )
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
-from cmbot.planning.attempts.remedies import MORE_VIA_POINTS, REMEDIES
+from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
-from cmbot.planning.initial_guess import InitialGuess, collision
+from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.timing.leg_paths import RoughLaw, leg_paths, rough_laws, shortest_law_of
 from cmbot.planning.timing.quiet_laws import shortest_quiet_law
 from cmbot.planning.timing.timing import Timing
@@ -73,9 +72,7 @@ def in_shortest_time(
         Failed where no motion is found, however slow.
     """
     half = Budget(runs=budget.left // 2)
-    slow = _denser(first, half)
-    if slow is None or not isinstance(slow.outcome, Solved):
-        slow = agenda_of(first.request, _slow_motion, (*REMEDIES, SLOWER_LEGS), half).search(first)
+    slow = agenda_of(first.request, _slow_motion, (*REMEDIES, SLOWER_LEGS), half).search(first)
     budget.used += half.used
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
@@ -137,18 +134,6 @@ def _tell_slowed(before: Trial[Attempt, Any], after: Trial[Attempt, Any]) -> str
 
 
 SLOWED_LAWS = Remedy(cost=0, propose=lambda trial: iter(()), tell=_tell_slowed)
-
-
-def _denser(first: Attempt, budget: Budget) -> Trial[Attempt, Optimised] | None:
-    """A slow motion by more via-points where splines through those of the guess collide; None elsewhere.
-
-    That so few of them lead on is found out slowly: the optimum is sought where it meets all but clearances.
-    """
-    guess = first.guess
-    if not isinstance(guess, InitialGuess) or (violation := collision(guess.problem)) is None:
-        return None
-    collides: Trial[Attempt, Optimised] = Trial(attempt=first, outcome=failure_of(first.request, violation))
-    return agenda_of(first.request, _slow_motion, (MORE_VIA_POINTS,), budget).search_from(collides)
 
 
 def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:

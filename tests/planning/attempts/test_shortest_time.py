@@ -19,10 +19,9 @@ from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan, planner
 from cmbot.planning.attempts import shortest_time
-from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved, Trial
+from cmbot.planning.attempts.agenda import Agenda, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
-from cmbot.planning.attempts.failure import Failure, JointRate, Uncertified, failure_of
-from cmbot.planning.attempts.motion import certified_motion
+from cmbot.planning.attempts.failure import Failure, JointRate, NoTrajectory, Uncertified, failure_of
 from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHED_LAWS
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
@@ -119,24 +118,21 @@ def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Gen
     assert time_laws.toppra_seconds(q, cmbot_robot.limits) < copp
 
 
-@pytest.mark.parametrize(("collides", "numbers"), [(True, [15, 8]), (False, [8])])
-def test_a_guess_that_collides_between_via_points_is_optimised_after_a_denser_one(
-    monkeypatch: pytest.MonkeyPatch, collides: bool, numbers: list[int]
+@pytest.mark.parametrize(("limit", "shares"), [(Limit.TOOL_DEVIATION, [10.0, 1.0]), (Limit.JERK, [10.0])])
+def test_slow_motions_hold_the_tool_loosely_unless_it_strays_even_so(
+    monkeypatch: pytest.MonkeyPatch, limit: Limit, shares: list[float]
 ) -> None:
-    request = request_of(short_scene(tool_path={"legs": [LEG], "seconds": "auto"}))
-    asked = list[int]()
+    asked = list[float]()
 
     def fails(problem: Any, *rest: Any) -> Any:
-        asked.append(len(problem.space.t))
-        raise OptimisationFailed("no", constraint="it", violation=1.0, limit=Limit.OTHER)
+        asked.append(problem.request.tool_share)
+        raise OptimisationFailed("no", constraint="it", violation=1.0 / asked[-1], limit=limit)
 
-    near = LimitViolation("it", time=1.0, value=-0.01, bound=0.02, unit="m", limit=Limit.CLEARANCE)
     monkeypatch.setattr(shortest_time, "optimise", fails)
-    monkeypatch.setattr(shortest_time, "collision", lambda problem: near if collides else None)
-    first, better = Attempt.of(request), Remedy[Attempt, Any](cost=1, propose=lambda trial: iter(()))
-    found = shortest_time.in_shortest_time(first, Budget(runs=8), certified_motion, better)
-    assert not isinstance(found.outcome, Solved)
-    assert asked[: len(numbers)] == numbers
+    path = {"legs": [LEG], "seconds": "auto"}
+    failure = shortest_time._slow_motion(Attempt.of(request_of(short_scene(tool_path=path))))
+    assert isinstance(failure, NoTrajectory) and asked == shares
+    assert failure.violation == 1.0 / shares[-1]
 
 
 def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
