@@ -132,6 +132,11 @@ Failure = NoWay | NoTrajectory | Uncertified | OutOfTime
 """Why an attempt failed."""
 
 
+def strays(failure: object) -> bool:
+    """Whether no motion was found, or certified, that keeps the tool on its path."""
+    return isinstance(failure, NoTrajectory | Uncertified) and isinstance(failure.broken, ToolOff)
+
+
 def attempted(request: StrokeRequest, make: Callable[[], Made]) -> Made | Failure:
     """Return what is made with a request, or why it fails: solvers raise their errors as far as this."""
     try:

@@ -30,6 +30,7 @@ from cmbot.planning.attempts.failure import (
     attempted,
     briefly,
     in_words,
+    strays,
 )
 from cmbot.planning.free_motion.approach import joined_starts, reachable
 from cmbot.planning.initial_guess import (
@@ -275,11 +276,10 @@ def _with_via_points(trial: AnyTrial, number: int, why: str) -> Iterator[Attempt
 
 def _tell_via_points(before: AnyTrial, after: AnyTrial) -> str:
     count, number = (len(trial.attempt.request.times) for trial in (before, after))
-    failure = before.failure
-    strays = isinstance(failure, NoTrajectory | Uncertified) and isinstance(failure.broken, ToolOff)
-    reason = "the tool strays from its path between them" if strays else "no trajectory was found"
+    off = strays(before.failure)
+    reason = "the tool strays from its path between them" if off else "no trajectory was found"
     key = f"{after.attempt.request.stroke.key}.via_points {number}"
-    return f"With {count} via-points {reason} ({in_words(failure)}): planned with {key} instead."
+    return f"With {count} via-points {reason} ({in_words(before.failure)}): planned with {key} instead."
 
 
 def _another_start(trial: AnyTrial) -> Iterator[Attempt]:

@@ -18,15 +18,7 @@ from cmbot.common.limit import Limit
 from cmbot.planning.attempts.advice import SLOWER_LEGS, slower_legs
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
-from cmbot.planning.attempts.failure import (
-    Failure,
-    NoTrajectory,
-    NoWay,
-    ToolOff,
-    Uncertified,
-    attempted,
-    briefly,
-)
+from cmbot.planning.attempts.failure import Failure, NoWay, Uncertified, attempted, briefly, strays
 from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
@@ -147,9 +139,7 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
         return guess
     loose = guess.asked(replace(request, tool_share=_LOOSE_TOOL)).problem
     found = attempted(request, lambda: Solved(result=optimise(loose)))
-    if isinstance(found, NoTrajectory) and isinstance(found.broken, ToolOff):
-        return attempted(request, lambda: Solved(result=optimise(guess.problem)))
-    return found
+    return attempted(request, lambda: Solved(result=optimise(guess.problem))) if strays(found) else found
 
 
 def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[RoughLaw, ...] | Failure:
