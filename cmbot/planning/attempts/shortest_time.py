@@ -194,8 +194,10 @@ def _fewer_stretched_legs(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
     if timing is None or not isinstance(trial.outcome, Solved) or timing.at_fault.all():
         return
     if timing.at_fault.any() and (timing.factors > 1.0).all():
-        factors = np.where(timing.at_fault, timing.factors, 1.0)
-        yield from _stretched(trial, replace(timing, factors=factors))
+        fewer = replace(timing, factors=np.where(timing.at_fault, timing.factors, 1.0))
+        before, after = (each.timed.task.path.duration for each in (timing, fewer))
+        if after <= _WORTHWHILE_TIME_SHARE * before:
+            yield from _stretched(trial, fewer)
 
 
 def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:

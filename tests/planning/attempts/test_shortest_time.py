@@ -283,8 +283,17 @@ def test_seconds_in_which_only_a_longer_ramp_leads_are_kept(quick_plan: Plan, tm
     assert read.scene.strokes[0].time_laws == file.time_laws
 
 
-def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
-    """The second of two legs, which no motion follows in less than 1.03 times its law's seconds."""
+@pytest.mark.parametrize(
+    ("needed", "factors", "legs"),
+    [
+        (1.03, [[1, 1], [1.01, 1.01], [1.03, 1.03], [1, 1.03]], " on 1 of 2 legs"),
+        (1.01, [[1, 1], [1.01, 1.01]], ""),
+    ],
+)
+def test_only_the_legs_on_which_motions_fail_are_stretched_if_that_is_worth_it(
+    needed: float, factors: list[list[float]], legs: str
+) -> None:
+    """The second of two legs, which no motion follows in less than some times its law's seconds."""
     path = {"legs": [LEG, {"by": [0, 0, 0.1]}], "seconds": "auto", "via_points": 26}
     asked = request_of(short_scene(tool_path=path))
     trajectory = initial_guess(asked).problem.parametrization.trajectory
@@ -304,7 +313,7 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
     def work(attempt: Attempt) -> Solved[float] | Failure:
         seconds = attempt.request.task.path.seconds
         tried.append(seconds / 4.0)
-        if seconds[1] < 4.0 * 1.03:
+        if seconds[1] < 4.0 * needed:
             return Uncertified(
                 quantity="velocity of joint_1",
                 time=seconds[0] + 0.5 * seconds[1],
@@ -324,11 +333,11 @@ def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
         deadline=Deadline(),
         better=lambda seconds, least: seconds < least,
     ).search(first)
-    np.testing.assert_allclose(tried, [[1, 1], [1.01, 1.01], [1.03, 1.03], [1, 1.03]])
-    np.testing.assert_allclose(best.attempt.request.task.path.seconds, [4.0, 4.12])
+    np.testing.assert_allclose(tried, factors)
+    np.testing.assert_allclose(best.attempt.request.task.path.seconds, 4.0 * np.array(factors[-1]))
     (told,) = best.told
     assert "In 8 s, the shortest time along the joint path, no motion is certified (velocity of" in told
-    assert told.endswith("planned 3 % slower on 1 of 2 legs.")
+    assert told.endswith(f"planned {100 * (needed - 1):.0f} % slower{legs}.")
     # No free move is found by another time.
     blocked = PathNotFound("no approach", time=0.0, progress=0.0, smallest_singular_value=1.0)
     failure = failure_of(first.request, blocked)
