@@ -5,7 +5,9 @@ from cmbot.hold.foot import Foot as Foot
 from cmbot.hold.holding import (
     ADHESION as ADHESION,
     CLAMP_LOAD as CLAMP_LOAD,
+    LOADS as LOADS,
     AdhesionPeak as AdhesionPeak,
+    FootUse as FootUse,
     Holding as Holding,
     bears as bears,
     needed_by_load as needed_by_load,

@@ -68,6 +68,11 @@ class Foot(ShortRepr):
         return np.array([*(self.force or unknown), *(self.moment or unknown)])
 
     @property
+    def most_adhesion(self) -> float:
+        """What no magnet on this contact exceeds, N, however thick the steel is; zero without a contact."""
+        return 0.0 if self.contact is None else MAGNET_PRESSURE * self.contact.area
+
+    @property
     def ceiling(self) -> float:
         """What no magnet on this contact exceeds, N; infinite without a contact.
 

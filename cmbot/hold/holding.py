@@ -15,7 +15,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import Count, NonNegative
-from cmbot.hold.contact import MAGNET_PRESSURE, Contact
+from cmbot.hold.contact import Contact
 from cmbot.hold.foot import Foot
 
 MODES = ("pull", "tip", "gap", "slip")
@@ -26,6 +26,37 @@ _OF_THE_FIRST = 16
 
 ADHESION, CLAMP_LOAD = "adhesion needed", "load of the clamp"
 """What is judged of a magnet and of a clamp: see `Holding.named`."""
+
+LOADS = (
+    *("N along the plate", "N across the plate", "N off the steel"),
+    *("Nm about the length", "Nm about the width", "Nm about the normal"),
+)
+"""The unit and the axis of each component of a foot's load."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootUse:
+    """Of what it bears, what a foot uses most.
+
+    Attributes
+    ----------
+    share : float
+        Safety included.
+    foot : int
+        From 0.
+    bound : str
+        ``adhesion_n``, ``force_n`` or ``moment_nm``.
+    axis : int
+        Of a clamp's bound, from 0; else 0.
+    in_words : str
+        What it asks, and has.
+    """
+
+    share: float
+    foot: int
+    bound: str
+    axis: int
+    in_words: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,12 +256,12 @@ class Holding:
             What needs it, such as ``the whole job``.
         """
         foot = self.feet[needed.foot - 1]
-        asked, area = foot.safety * needed.peak, 0.0 if foot.contact is None else foot.contact.area
+        asked, most = foot.safety * needed.peak, foot.most_adhesion
         steel = "" if foot.steel is None else f" on {1e3 * foot.steel:g} mm of steel"
         asks = f"with safety {foot.safety:g} {who} asks {asked / 1e3:.1f} kN (gap: {foot.gap}"
         if foot.gap == "allowed":
             asks += f"; gap: none asks {foot.safety * needed.closed / 1e3:.1f} kN"
-        if asked > (most := MAGNET_PRESSURE * area):
+        if asked > most:
             return f"no magnet pulls more than {most / 1e3:.1f} kN on this contact, {asks}): clamps alone"
         magnet = "a magnet" if asked <= foot.ceiling else "a magnet of more poles"
         pulls = f"clamps, or {magnet} that pulls {asked / 1e3:.1f} kN"
@@ -270,6 +301,22 @@ class Holding:
             value[more] = shares[rows, which][more]
             gradient[more] = by_load[rows, which][more, None] * foot.from_wrench[which[more]]
         return value, gradient
+
+    def most_used(self, wrench: FloatArray) -> FootUse:
+        """Return what a foot uses most of what it bears under a wrench (1, 6), where something is known."""
+        uses = list[FootUse]()
+        for number, foot in enumerate(self.feet):
+            bounds, load = foot.bounds, np.abs(self.load(number, wrench)[0])
+            asked = [(load[k], bounds[k], LOADS[k]) for k in range(len(LOADS))]
+            if foot.adhesion is not None:
+                asked.append((max(self.needed(number, wrench)[0], 0.0), foot.adhesion, "N of adhesion"))
+            which = f"foot {number + 1}" if len(self.feet) > 1 else "a foot"
+            for k, (value, most, name) in enumerate(asked):
+                words = f"{value:.0f} {name}, times safety {foot.safety:g}, where {which} has {most:.0f}"
+                words, share = f"{words} {name.split()[0]}", float(foot.safety * value / most)
+                bound = ("force_n", "moment_nm", "adhesion_n")[k // 3]
+                uses.append(FootUse(share=share, foot=number, bound=bound, axis=k % 3, in_words=words))
+        return max(uses, key=lambda use: use.share)
 
     def bears(self, wrench: FloatArray, share: float = 1.0) -> BoolArray:
         """Return in which of N wrenches (N, 6) no foot uses more than a share of its bounds: see `bears`."""

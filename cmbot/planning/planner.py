@@ -30,6 +30,7 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import (
+    firmer,
     leaning,
     require_posture,
     require_postures,
@@ -351,7 +352,10 @@ class _Planner:
             error.add_hint(own)
         if not self.brief:
             blocked = upright(request) if missed is None else ""
-            for hint in filter(None, (blocked, leaning(scene, request) if blocked or missed else "")):
+            leant = leaning(scene, request) if blocked or missed else ""
+            firm = firmer(scene, request)
+            firm += ", or cmbot stand" if firm and scene.is_movable else ""
+            for hint in filter(None, (blocked, leant, firm)):
                 error.add_hint(hint)
         if stroke.shortest is not None:
             where = "the legs of " * bool(request.stroke.file.legs) + request.stroke.key

@@ -19,7 +19,7 @@ from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.hold import Holding
+from cmbot.hold import LOADS
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, task_of
@@ -46,12 +46,6 @@ two minutes, at 4,000 more than three."""
 _ROUNDING_SHARE = 1e-9
 # More sag than this is rather a mistake of the stiffness' unit.
 _MUCH_SAG_M = 0.15
-# What is asked of a foot, first the unit: adhesion of a magnet; what `Foot.force` and `moment` bound.
-_ADHESION = "N of adhesion"
-_LOADS = (
-    *("N along the plate", "N across the plate", "N off the steel"),
-    *("Nm about the length", "Nm about the width", "Nm about the normal"),
-)
 # How much of a tool's tip may be in a workpiece that it may touch; at how many of its places that is judged.
 _MOST_PRESSED_M, _TIP_PLACES = 0.01, 121
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
@@ -214,43 +208,39 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
     if holding is not None and holding.adhesive:
         left = holding.kinds_left(holding.worst(wrench, np.zeros(1)), "the start posture alone")
-        yield "kinds of hold left there", f"{left}; of the whole job cmbot plan says it"
+        yield "holds left for the start alone", f"{left}; cmbot plan says what the job asks"
     if holding is not None and holding.bounded:
-        use, got = _most_used(holding, wrench)
-        yield "of what the feet bear there, safety included", f"{100 * use:.0f} %: {got}"
-        if use > 1.0:
-            movable = scene.mounts or (scene.on_guardrail and scene.guardrail.bays)
-            other = ", or another place, which cmbot stand seeks" if movable else ""
-            expected = f"feet that bear what the arm asks: {_hold_key(scene)}{other}"
-            yield _warning(scene.posture_key, got, expected)
+        use = holding.most_used(wrench)
+        got = use.in_words
+        yield "of what the feet bear there, safety included", f"{100 * use.share:.0f} %: {got}"
+        if use.share > 1.0:
+            other = ", or another place, which cmbot stand seeks" * scene.is_movable
+            expected = f"feet that bear what the arm asks: {scene.hold_of(use.foot)[0]}.{use.bound}{other}"
+            yield Finding(severity="error", key=scene.posture_key, got=got, expected=expected)
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
-        use, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
-        yield "locked joint that bears most there", f"{joint.name}, {100 * use:.0f} % of {joint.limit:g} Nm"
-        if use > 1.0:
-            got = f"{100 * use:.0f} % of what the locked {joint.name} holds, {joint.limit:g} Nm, at rest"
+        share, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
+        yield "locked joint that bears most there", f"{joint.name}, {100 * share:.0f} % of {joint.limit:g} Nm"
+        if share > 1.0:
+            got = f"{100 * share:.0f} % of what the locked {joint.name} holds, {joint.limit:g} Nm, at rest"
             expected = "at most 100 %, or more of holding_torque in the limits file"
-            yield _warning(scene.posture_key, got, expected)
-
-
-def _hold_key(scene: Scene) -> str:
-    return "base.hold" if scene.base is not None and scene.base.hold else "guardrail.hold"
+            yield Finding(severity="error", key=scene.posture_key, got=got, expected=expected)
 
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
     """Yield magnets and clamps with bounds that two poles on this steel, or the member, have not."""
     for number, foot in enumerate(robot.feet, start=1):
         which = f" of foot {number}" * (len(robot.feet) > 1)
-        asked = (scene.guardrail.hold_of(number - 1).moment_nm if scene.on_guardrail else None) or ()
-        for name, moment, bears in zip(_LOADS[3:], asked, foot.moment or (), strict=False):
+        key, hold = scene.hold_of(number - 1)
+        for name, moment, bears in zip(LOADS[3:], hold.moment_nm or (), foot.moment or (), strict=False):
             if moment > bears:
                 expected = f"at most {bears:.0f}, at which the member yields, of S235; so much is taken"
-                yield _warning(f"{_hold_key(scene)}.moment_nm", f"{moment:g} {name}{which}", expected)
+                yield _warning(f"{key}.moment_nm", f"{moment:g} {name}{which}", expected)
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
             most = f"{foot.ceiling:.0f} N at most"
             got = f"{foot.adhesion:.0f} N{which}, where a magnet of two poles pulls {most}"
             expected = "what the magnet was measured to pull on this steel; it is taken as given"
-            yield _warning(f"{_hold_key(scene)}.adhesion_n", got, expected)
+            yield _warning(f"{key}.adhesion_n", got, expected)
 
 
 def _blocked_feet(scene: Scene) -> Iterator[Finding]:
@@ -261,23 +251,6 @@ def _blocked_feet(scene: Scene) -> Iterator[Finding]:
         if place is not None and (other := scene.in_the_way(place)) in own:
             got = f"a foot that touches {other} at the {place.face} of {place.member}, or as it is put there"
             yield _warning(f"guardrail.stance.foot_{number}", got, "another face, or another place along_m")
-
-
-def _most_used(holding: Holding, wrench: FloatArray) -> tuple[float, str]:
-    """The largest share that a foot uses of what it bears, safety included, and what that is."""
-    uses = [(0.0, "")]
-    for number, foot in enumerate(holding.feet):
-        which = f"foot {number + 1}" if len(holding.feet) > 1 else "a foot"
-        loads = dict(zip(_LOADS, np.abs(holding.load(number, wrench)[0]), strict=True))
-        bounds = dict(zip(_LOADS, (*(foot.force or ()), *(foot.moment or ())), strict=False))
-        if foot.adhesion is not None:
-            loads[_ADHESION] = max(holding.needed(number, wrench)[0], 0.0)
-            bounds[_ADHESION] = foot.adhesion
-        for name, most in bounds.items():
-            asked = f"{loads[name]:.0f} {name}, times safety {foot.safety:g}"
-            has = f"{most:.0f} {name.partition(' ')[0]}"
-            uses.append((float(foot.safety * loads[name] / most), f"{asked}, where {which} has {has}"))
-    return max(uses)
 
 
 def _sag_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.request import StrokeRequest, build_request, in_cells, strokes_of, task_of
 from cmbot.planning.selfmotion.reachability import out_of_reach
+from cmbot.planning.workcell.workcell import robot_of
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
 
@@ -23,6 +25,9 @@ from cmbot.scene import Scene, Stroke
 _REACH_TOLERANCE = 1e-9
 # Leans of a raster's tool that are tried, degrees.
 _LEANS = ((0.0, 15.0), (0.0, -15.0), (15.0, 0.0), (-15.0, 0.0))
+
+# Bounds of feet that are raised one after the other.
+_FIRMER_FEET = 4
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
@@ -93,9 +98,10 @@ def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
 
 
 def without_posture(scene: Scene) -> Iterator[Finding]:
-    """Yield a warning for each stroke with places for which no posture is found.
+    """Yield a finding for each stroke with places for which no posture is found.
 
-    The tool has to be held there within the joint ranges, clear of obstacles and strongly enough.
+    The tool has to be held there within the joint ranges, clear of obstacles and strongly enough. It is an
+    error where planning refuses the stroke for it, and where no place has a posture.
 
     Parameters
     ----------
@@ -108,17 +114,49 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         at = request.at_stroke(number)
         miss = nearest_miss(at, is_clear=True)
         if miss is not None:
-            some = _is_cut(stroke) and bool(miss.missed.found.any())
-            left_out = "rows beyond it are left out" if some else ""
-            wanted = "feet that bear it, or another place (cmbot stand)" if miss.feet_bind else ""
-            remedy = leaning(scene, at) or ("" if left_out else miss.remedy())
+            some, is_cut = bool(miss.missed.found.any()), _is_cut(stroke)
+            left_out = "rows beyond it are left out" if some and is_cut else ""
+            elsewhere = ", or another place (cmbot stand)" * scene.is_movable
+            wanted = f"feet that bear it{elsewhere}" if miss.feet_bind else ""
+            remedy = leaning(scene, at) or firmer(scene, at) or ("" if left_out else miss.remedy())
             expected = "; ".join(filter(None, (left_out, remedy)))
+            is_refused = not some or (not is_cut and (number > 0 or not miss.missed.is_held))
             yield Finding(
-                severity="warning",
+                severity="error" if is_refused else "warning",
                 key=miss.key,
                 got=f"a path that is {miss.reason()}",
                 expected=": ".join(filter(None, (wanted or "a path within reach", expected))),
             )
+
+
+def firmer(scene: Scene, request: StrokeRequest) -> str:
+    """Return with which bounds its feet bear the start, and a posture for every place of a stroke.
+
+    Empty where none is found, or where it is not the feet that are too weak.
+    """
+    asked, values = scene, dict[str, object]()
+    for _ in range(_FIRMER_FEET):
+        cell, miss = request.cell, nearest_miss(request, is_clear=True)
+        holding = cell.robot.holding
+        if holding is None or not holding.bounded or (miss is not None and not miss.feet_bind):
+            break
+        cases = [(cell.tool_off, scene.posture), *([] if miss is None else [(cell, miss.missed.best)])]
+        wrenches = [each.postures.at(q[None]).guardrail_wrench for each, q in cases]
+        use = max((holding.most_used(wrench) for wrench in wrenches), key=lambda each: each.share)
+        if use.share <= 1.0:
+            words = " and ".join(f"{key} {value}" for key, value in values.items())
+            return words and f"{words} would do at rest"
+        foot, (key, hold) = holding.feet[use.foot], asked.hold_of(use.foot)
+        if use.bound == "adhesion_n" and use.share * (foot.adhesion or 0.0) > foot.most_adhesion:
+            return (
+                f"no magnet on this contact pulls more than {foot.most_adhesion / 1e3:.1f} kN: a clamp may do"
+            )
+        each = [ceil(bound) for bound in np.atleast_1d(getattr(hold, use.bound))]
+        each[use.axis] = 10 * ceil(use.share * each[use.axis] / 10)
+        values[f"{key}.{use.bound}"] = each if len(each) > 1 else each[0]
+        asked = scene.with_values(values)
+        request = replace(request, cell=replace(cell, robot=replace(cell.robot, feet=robot_of(asked).feet)))
+    return ""
 
 
 def upright(request: StrokeRequest) -> str:

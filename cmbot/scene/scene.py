@@ -29,9 +29,11 @@ from cmbot.common.representation import card
 from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
 from cmbot.scene.base.guardrail import GuardrailFile, elastic_guardrail, feet_of, guardrail_obstacles
+from cmbot.scene.base.hold import HoldFile
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.mounts import MountsFile
 from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, resolved_stance, swept_foot
+from cmbot.scene.changes import changed_content
 from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.files import file_hashes, with_paths
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
@@ -317,6 +319,11 @@ class Scene(FileModel):
         scene._stowed = self._stowed if same else None
         return scene._with_files(self._files)
 
+    def with_values(self, values: Mapping[str, object]) -> Self:
+        """Return the scene with other values by their keys: see `changed_content`; errors as above."""
+        data = changed_content(self.as_data(), values)
+        return self.changed(**{block: data[block] for block in {key.partition(".")[0] for key in values}})
+
     def with_files_of(self, other: Scene) -> Scene:
         """Return it with the paths of another scene's files for files of the same content, one for each."""
         places = {content: path for path, content in other._files.items()}
@@ -446,6 +453,18 @@ class Scene(FileModel):
             if getattr(self.base, key, None) is not None:
                 return f"base.{key}"
         return "guardrail.stiffness" if self.guardrail.stiffness is not None else "guardrail"
+
+    @property
+    def is_movable(self) -> bool:
+        """Whether there are other places where its robot might stand."""
+        return bool(self.mounts or (self.on_guardrail and self.guardrail.bays))
+
+    def hold_of(self, foot: int) -> tuple[str, HoldFile]:
+        """Return how a foot holds, from 0, and the key of that."""
+        if self.base is not None and self.base.hold:
+            return "base.hold", self.base.hold
+        several = len(self.guardrail.hold or ()) > 1
+        return f"guardrail.hold{f'[{foot}]' * several}", self.guardrail.hold_of(foot)
 
     @property
     def stance(self) -> Stance | None:

@@ -92,7 +92,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     # What holds comes first: what the locked joints below the arm bear.
     assert "of what the locked climb_1 holds, 460 Nm" in first
     assert "of the torque that joint_" in second
-    assert first.startswith(f"warning: {path}: start.posture_deg: got ")
+    assert first.startswith(f"error: {path}: start.posture_deg: got ")
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
     assert (
         first == f"warning: {path}: start.posture_deg: got numbers that look like radians, expected degrees"
     )
-    assert others[0].startswith("warning: ")
+    assert others[0].startswith("error: ")
     with pytest.raises(cmbot.PlanningError, match=r"; start.posture_deg looks like radians, it is in d"):
         cmbot.plan(cmbot.load_scene(path))
 

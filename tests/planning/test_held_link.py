@@ -98,10 +98,10 @@ def test_what_two_poles_pull_is_by_the_steel_below() -> None:
 
 def test_check_says_what_the_pads_bear() -> None:
     weak = held(pads=PADS, adhesion_n=200, friction=0.01, rpy_deg=[90, 0, 0])
-    warning = precheck_scene(weak).warnings[0]
-    assert "where a foot has 200 N" in warning.got
+    error = precheck_scene(weak).warnings[0]
+    assert error.severity == "error" and "where a foot has 200 N" in error.got
     # Where there is no other place none is named.
-    assert warning.expected.endswith("asks: base.hold")
+    assert error.expected.endswith("asks: base.hold.adhesion_n")
     elsewhere = weak.changed(mounts=[{"xyz": [0, 0, 0.1]}])
     assert precheck_scene(elsewhere).warnings[0].expected.endswith("another place, which cmbot stand seeks")
     assert any("feet bear" in name for name, _ in precheck_scene(held(pads=PADS, adhesion_n=3000)).found)
