@@ -19,6 +19,7 @@ from cmbot.cli.planning import loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.common.reading.input_files import is_file
+from cmbot.common.reading.yaml_reader import name_line
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -93,6 +94,7 @@ class CheckCommand(Reporting):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
+                name_line(message, file)
                 out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:

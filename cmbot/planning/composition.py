@@ -151,9 +151,9 @@ def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
     rests = len(request.stroke.path.segments) // (request.stroke.file.passes or 1) - 1
     if request.stroke.file.waypoints and rests:
         yield f"It rests at {counted(rests, 'waypoint')}, corners and turns in place (corner_deg)."
-    limit = f"{request.cell.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
-        why = f"Stopped after {limit}" if stopped else "The last stage of the optimisation failed"
+        limit = request.deadline.in_words
+        why = f"Stopped as {limit}, was over" if stopped else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
     number, asked = len(stroke.trial.chain[0].attempt.request.times), request.stroke.via_points
     if number != asked:

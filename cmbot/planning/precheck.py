@@ -25,7 +25,7 @@ from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, task_of
 from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.stiffness import identified_in_words
-from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
+from cmbot.planning.workcell.units import FAR_REACHES, mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell.workcell import (
     bending_arm,
     held_point,
@@ -98,7 +98,8 @@ def precheck_scene(scene: Scene) -> Precheck:
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
     warnings += [*without_posture(scene), *_blocked_feet(scene)]
     for stroke in strokes:
-        warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke), *_too_short(stroke, robot)]
+        warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)]
+        warnings += [] if any(beyond_reach(stroke, robot)) else _too_short(stroke, robot)
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += precheck_options(scene.planner, scene.tool)
     warnings += _locked_below(scene, robot)
@@ -272,14 +273,20 @@ def _sag_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
 
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
     """Keys of legs that end farther from the arm's first joint than the arm is long."""
-    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
+    joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
+    within = (
+        f"at most {robot.reach:.3f} m from there, with arm and tool stretched out; where the tool's pose "
+    )
+    within += "is kept, less (lengths are in metres)"
     furthest: dict[str, float] = {}
     for stroke in strokes:
         for key, away in beyond_reach(stroke, robot):
             furthest[key] = max(away, furthest.get(key, 0.0))
     for key, away in furthest.items():
-        got = f"an end {away:.3f} m from the arm's first joint"
+        got = f"an end {away:.3f} m from the arm's first joint, at ({joint}) m"
         yield Finding(severity="error", key=key, got=got, expected=within)
+        if away > FAR_REACHES * robot.reach:
+            return  # what comes after it is as far
 
 
 def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:

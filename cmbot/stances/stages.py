@@ -148,7 +148,8 @@ class Judge:
         """Plan a stance, with the way from the stow posture and back; that of a scene as the scene has it."""
         limit = min(self.scene.planner.time_limit_s, ending.part("plan", own=result.own))
         try:
-            placed, deadline = self._placed(result), Deadline(limit)
+            placed, whole = self._placed(result), Deadline(self.scene.planner.time_limit_s)
+            deadline = Deadline(limit, whole=whole, name="this stance")
             options = replace(placed.planner, time_limit_s=limit)
             # First what takes a tenth of a plan's time.
             scene = reached_scene(placed, options, deadline)

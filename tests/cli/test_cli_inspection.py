@@ -61,7 +61,7 @@ def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, word
     out = output("check", path)
     first, *_, last = out.splitlines()
     assert first.startswith(
-        f"warning: {path}: start.posture_deg: got {words}, the safety margin is 0.02 m, expected"
+        f"warning: {path}:1: start.posture_deg: got {words}, the safety margin is 0.02 m, expected"
     )
     assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
     start, way = json.loads(run("check", path, "--json").out)["findings"]
@@ -82,7 +82,8 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
     assert warnings[0].endswith(
         f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
-        "expected at most 3.780 m, the arm with its tool stretched out (lengths are in metres)"
+        "at (0.000, 0.500, 0.000) m, expected at most 3.780 m from there, with arm and tool stretched out; "
+        "where the tool's pose is kept, less (lengths are in metres)"
     )
     assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1]", "tool_path.legs[3]"]
     assert last == "No plan is possible: 2 errors, 0 warnings."
@@ -92,7 +93,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     # What holds comes first: what the locked joints below the arm bear.
     assert "of what the locked climb_1 holds, 460 Nm" in first
     assert "of the torque that joint_" in second
-    assert first.startswith(f"error: {path}: start.posture_deg: got ")
+    assert first.startswith(f"error: {path}:1: start.posture_deg: got ")
 
 
 @pytest.mark.parametrize(

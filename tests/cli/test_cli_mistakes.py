@@ -85,7 +85,7 @@ def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
     path = write_scene(tmp_path / "radians.yaml", in_radians())
     first, *others = run("check", path).out.splitlines()
     assert (
-        first == f"warning: {path}: start.posture_deg: got numbers that look like radians, expected degrees"
+        first == f"warning: {path}:1: start.posture_deg: got numbers that look like radians, expected degrees"
     )
     assert others[0].startswith("error: ")
     with pytest.raises(cmbot.PlanningError, match=r"; start.posture_deg looks like radians, it is in d"):
@@ -119,17 +119,17 @@ def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> 
     path = write_scene(tmp_path / "soft.yaml", soft)
     first, second, *_ = run("check", path).out.splitlines()
     assert first == (
-        f"warning: {path}: guardrail.stiffness: got numbers that look like N/mm, expected N/m and Nm/rad"
+        f"warning: {path}:1: guardrail.stiffness: got numbers that look like N/mm, expected N/m and Nm/rad"
     )
-    assert f"{path}: guardrail.stiffness: got " in second
+    assert f"{path}:1: guardrail.stiffness: got " in second
     weak = {**SHORT, "guardrail": {"hold": {"kind": "magnet", "adhesion_n": 5}}}
     path = write_scene(tmp_path / "weak.yaml", weak)
     out = run("check", path).out
-    assert f"{path}: guardrail.hold.adhesion_n: got numbers that look like kN, expected N\n" in out
+    assert f"{path}:1: guardrail.hold.adhesion_n: got numbers that look like kN, expected N\n" in out
     assert re.search(r"got \d+ N of adhesion, times safety 2, where a foot has 5 N, expected", out)
     clamp = {"kind": "clamp", "force_n": [4, 4, 4], "moment_nm": [1.2, 1.2, 1.2]}
     clamped = write_scene(tmp_path / "clamp.yaml", {**SHORT, "guardrail": {"hold": clamp}})
-    told = f"{clamped}: guardrail.hold.force_n: got numbers that look like kN, expected N\n"
+    told = f"{clamped}:1: guardrail.hold.force_n: got numbers that look like kN, expected N\n"
     assert told in run("check", clamped).out
     with pytest.raises(
         cmbot.PlanningError, match=r"; guardrail.hold.adhesion_n looks like kN, it is in N"
@@ -144,7 +144,7 @@ def test_a_base_on_which_the_arm_topples_is_named(tmp_path: Path) -> None:
     """Stiff enough against shifts to be in N/m, and too soft against tilts."""
     scene = {**SHORT, "guardrail": {"stiffness": [2e5, 2e5, 2e5, 60, 60, 60]}}
     path = write_scene(tmp_path / "topples.yaml", scene)
-    assert f"warning: {path}: guardrail.stiffness: got " in run("check", path).out
+    assert f"warning: {path}:1: guardrail.stiffness: got " in run("check", path).out
     with (
         pytest.raises(
             cmbot.SceneError, match=r"topples\.yaml:\d+: guardrail\.stiffness: got so soft .* topples"

@@ -267,7 +267,9 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach
         plan(scene, progress=False)
     assert "seconds" not in str(caught.value)
     # It is tried what less to keep would do, and told what does.
-    assert caught.value.reason.endswith("; with tool_path.keep position every place has a posture")
+    assert caught.value.reason.endswith(
+        "; with tool_path.keep position, by which the tool may turn, every place has a posture"
+    )
     task = ToolTask.of(stroke.path, "position")
     assert worst_missed(robot, task, task.goals(places_along(request_of(scene))), scene.posture) is None
     assert any(

@@ -134,7 +134,7 @@ def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
             "links.link_5.outer_diameter_m",
             "millimetres? then 0.08",
         ),
-        ("[0.0, 0.0, -0.87]", "[0.0, 0.0, -870]", "links.link_5.end_m", "millimetres? then 0.87"),
+        ("[0.0, 0.0, -0.87]", "[0.0, 0.0, -870]", "links.link_5.start_m", "then [0, 0, -0.87]"),
         ("shear_pa: 26000000000.0", "shear_pa: .nan", "links.link_1.shear_pa", "finite"),
         ("links:", "links: [", "", "valid YAML"),
     ],

@@ -29,7 +29,7 @@ SHORTEST_LEG = 1e-6
 """m."""
 
 # Nothing that bends is thicker or longer, m, or softer, Pa: such numbers are in mm and N/mm2.
-_THICKEST_M, _LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 50.0, 1e6, 1e3
+_THICKEST_M, _THICKEST_WALL_M, _LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 0.5, 50.0, 1e6, 1e3
 SHORTEST, LONGEST = 1e-6, 1e4
 """Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
 
@@ -114,9 +114,12 @@ def _in_metres(thickness: float) -> float:
 def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, wall: float) -> None:
     """Refuse a tube with a wall that it has no room for, or with ends as far apart as if in millimetres."""
     if 2 * wall > diameter:
-        raise refusal("at most half of outer_diameter_m", got=wall, key=("wall_m",))
-    if (length := math.dist(start, end)) > _LONGEST_TUBE_M:
-        raise refusal(f"metres: millimetres? then {length / 1000:g}", got=f"{length:g} m", key=("end_m",))
+        thinner = f"; millimetres? then {wall / 1000:g}" if wall >= _THICKEST_WALL_M else ""
+        raise refusal(f"at most half of outer_diameter_m{thinner}", got=wall, key=("wall_m",))
+    if math.dist(start, end) > _LONGEST_TUBE_M:
+        key, far = max(("start_m", start), ("end_m", end), key=lambda each: math.hypot(*each[1]))
+        metres = ", ".join(f"{x / 1000:z.6g}" for x in far)
+        raise refusal(f"metres: millimetres? then [{metres}]", got=far, key=(key,))
 
 
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]

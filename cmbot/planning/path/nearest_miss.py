@@ -92,7 +92,8 @@ class NearestMiss:
             task = ToolTask.of(self.request.task.path, keep)
             other = replace(self.request, task=task)
             if _worst(other, self.times, is_clear=self.is_clear) is None:
-                return f"with {self.request.stroke.key}.keep {keep} every place has a posture"
+                key = f"{self.request.stroke.key}.keep"
+                return f"with {key} {keep}, by which the tool may turn, every place has a posture"
         return ""
 
     @property

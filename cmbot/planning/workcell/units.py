@@ -12,14 +12,17 @@ from cmbot.common.errors import SceneError
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene
 
+FAR_REACHES = 10.0
+"""What is further than so many times the arm's reach is far away."""
+
 # An angle is whole to this, deg.
 _WHOLE_ANGLE_TOLERANCE_DEG = 1e-6
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
 # One whose every side is beyond the second is, where as millimetres it would be near the arm;
 # so is a tool that is fixed as far away.
 _HUGE, _VAST = 5.0, 50.0
-# What is nearer than so many times the arm's reach is near it; what is further than the second is far away.
-_NEAR_REACHES, _FAR_REACHES = 4.0, 10.0
+# What is nearer than so many times the arm's reach is near it.
+_NEAR_REACHES = 4.0
 _MILLIMETRE = 1e-3
 # On a base softer than this in every direction, N/m, an arm would sink by centimetres.
 _SOFTEST_N_M = 1e4
@@ -94,7 +97,7 @@ def _own(scene: Scene) -> list[Obstacle]:
 def _as_millimetres(obstacle: Obstacle, robot: Robot) -> tuple[str, str] | None:
     """What is suspicious of an obstacle that looks like millimetres, and what is expected; else None."""
     extent, place = extent_of(obstacle), obstacle.X_WO[:3, 3]
-    away, near, far = _distance(extent, robot), _NEAR_REACHES * robot.reach, _FAR_REACHES * robot.reach
+    away, near, far = _distance(extent, robot), _NEAR_REACHES * robot.reach, FAR_REACHES * robot.reach
     # A scale says of the size that it is meant, not of the place.
     is_vast = obstacle.scale is None and _shortest_side(extent) > _VAST
     smaller = place + _MILLIMETRE * (extent - place)

@@ -56,7 +56,8 @@ class TubeFile(OneOf):
         super()._check()
         outer = min(self.outer_m or (self.outer_diameter_m or 0.0,))
         if math.dist(self.start_m, self.end_m) < max(self.outer_m or (outer,)):
-            raise refusal(f"an end farther from start_m than {self.given}", got=self.end_m, key=("end_m",))
+            key, other = ("start_m", "end_m")[:: -1 if "end_m" in self.model_fields_set else 1]
+            raise refusal(f"farther from {other} than {self.given}", got=getattr(self, key), key=(key,))
         if self.outer_m and self.wall_m > outer / 4:
             expected = "at most a quarter of a side of outer_m: torsion is that of a thin wall"
             raise refusal(expected, got=self.wall_m, key=("wall_m",))
