@@ -22,6 +22,7 @@ from cmbot.planning import Plan, Samples, held_guardrail, hold_use, verdict
 from cmbot.simulation import Tracking
 from cmbot.views.charts import (
     MOST_SMALL_POINTS,
+    ROOM,
     Chart,
     Curve,
     clearance_chart,
@@ -229,8 +230,19 @@ def _strokes(plan: Plan) -> list[tuple[float, float]]:
 def _charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
     yield torque_chart(first, _curves(plans, torque_of))
     yield clearance_chart(first, _curves(plans, clearance_of))
-    along = _curves(plans, deviation_of, strokes=True)
-    yield replace(deviation_chart(first, along), title="Tool's distance from its path, along the strokes")
+    along = [_with_sag(curve, plans[curve.motion]) for curve in _curves(plans, deviation_of, strokes=True)]
+    chart = deviation_chart(first, tuple(along))
+    highest = max(chart.axis[1], *(ROOM * float(curve.y.max()) for curve in along))
+    title = "Tool's distance from its path, at rest with its sag, along the strokes"
+    yield replace(chart, title=title, axis=(0.0, highest))
+
+
+def _with_sag(curve: Curve, plan: Plan) -> Curve:
+    """The tool's distance with the modelled sag, where the plan does not compensate it."""
+    if plan.compensation is not None or not np.isfinite(plan.bent_offsets[1] or np.inf):
+        return curve
+    t, off = np.hstack([np.array(each) for each in plan.bent_deviation])
+    return replace(curve, y=1e3 * np.interp(curve.t, t, off))
 
 
 def _joint_charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:

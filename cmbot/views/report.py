@@ -515,6 +515,8 @@ def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[State, str]:
     """Return ``good``, ``worse`` or ``bad``, and whether promises are kept and what they leave out."""
     kept = all(check.holds for _, check in plan.job.checks())
     left = [] if tracking is None else [beyond_margin(plan, tracking)]
+    if (off := plan.bent_offsets[1]) and plan.options.max_tool_deviation_m < off < np.inf:
+        left.append(f"Uncompensated sag: {1e3 * off:.3g} mm.")
     if plan.accuracy is not None and plan.accuracy.tolerance_kept is False:
         left.append("The tolerance of the tool is not kept.")
     if missing := left_out(plan):

@@ -147,7 +147,9 @@ def test_the_answer_is_what_was_measured(short_tracking: Tracking) -> None:
     assert rows == {
         "tool sags, mean": pytest.approx([x.mean() for x in norms["static"]], abs=1e-3),
         "tool sways beside its sag, at most": pytest.approx([x.max() for x in norms["dynamic"]], abs=1e-3),
-        "bent tool off its path, at most": pytest.approx([x.max() for x in norms["path_error"]], abs=1e-3),
+        "simulated tool off its path, sag and sway, at most": pytest.approx(
+            [x.max() for x in norms["path_error"]], abs=1e-3
+        ),
         "tool swings after the stop": pytest.approx(swings, abs=1e-3),
     }
     (first, *_), *_ = tracking_summary(short_tracking, compensated=True)
@@ -161,7 +163,10 @@ def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Track
 
     plan: Plan = cmbot.load_plan(saved_short)
     rows = {name: float(planned) for name, _, planned in tracking_summary(short_tracking, compensated=False)}
-    off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
+    off, sways = (
+        rows["simulated tool off its path, sag and sway, at most"],
+        rows["tool sways beside its sag, at most"],
+    )
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
     assert "compensate: true the plan makes up for it." in verdict(0.5 * (off + sways))
     assert "makes up for the sag, not for the swaying." in verdict(0.9 * sways)
@@ -174,7 +179,7 @@ def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Track
 
 def test_on_a_terminal_it_draws_a_table(short_folder: Path) -> None:
     text = without_colours(on_a_terminal("simulate", short_folder, "--details", columns=80))
-    assert re.search(r"│ bent tool off its path, at most +│ +\d+\.\d{3} │", text)
+    assert re.search(r"│ simulated tool off its path, sag and sway, at most +│ +\d+\.\d{3} │", text)
     assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
 
 

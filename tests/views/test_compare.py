@@ -74,16 +74,23 @@ def test_cards_say_which_plan_is_ahead(text: str, short_plan: Plan, strokes_plan
     assert alike.count("<p>the same in all</p>") == alike.count('class="card each"') >= 3
 
 
-def test_a_verdict_is_amber_where_the_bent_tool_leaves_its_path(
-    short_plan: Plan, short_tracking: Tracking
+def test_verdict_and_curve_say_where_the_bent_tool_leaves_its_path(
+    short_plan: Plan, short_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
 ) -> None:
-    plan = without_shapes(short_plan)
-    page = compare_page({"bent": plan, "rigid": plan}, {"bent": short_tracking, "rigid": None})
-    off = f"{1e3 * short_tracking.planned.largest_off_path:.2f} mm off its path"
+    plan, compensated = without_shapes(short_plan), without_shapes(compensated_short[0])
+    page = compare_page({"bent": plan, "straight": compensated}, {"bent": short_tracking})
+    simulated = short_tracking.planned
+    off = f"{1e3 * simulated.largest_off_path:.2f} mm off its path"
     assert re.search(
         r'class="verdict worse"[^>]*><summary><b>bent.</b> Every promise[^<]*' + re.escape(off), page
     )
-    assert re.search(r'class="verdict good"[^>]*><summary><b>rigid.</b> Every promise is kept', page)
+    assert f"Uncompensated sag: {1e3 * plan.bent_offsets[1]:.3g} mm." in page
+    assert re.search(r'class="verdict good"[^>]*><summary><b>straight.</b> Every promise is kept', page)
+    curves = {curve["motion"]: floats(curve["y"]) for curve in data_of(page)["charts"][2]["curves"]}
+    assert curves["plan_2"].max() < 0.2
+    # At rest: beside it the simulated tool sways.
+    sway = simulated.largest(simulated.dynamic)
+    assert 1e-3 * curves["planned"].max() == pytest.approx(simulated.largest_off_path, abs=sway)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,9 @@ class Row:
     modes : two of str
         A word behind each value.
     first : bool
-        Whether it is one of the at most ten lines that are shown first.
+        Whether it is one of the lines that are shown first, at most ten of them.
+    told : bool
+        Whether another line, of the whole job or of the work, says as much: then it is not.
     """
 
     label: str
@@ -53,6 +55,7 @@ class Row:
     planned: float | None
     modes: tuple[str, str] = ("", "")
     first: bool = False
+    told: bool = False
 
     @property
     def cells(self) -> tuple[str, str, str]:
@@ -88,11 +91,12 @@ def _tool(plan: Plan) -> Iterator[Row]:
     """Where the tool is."""
     accuracy, compensation = plan.accuracy, plan.compensation
     if accuracy is not None:
-        name = f"tool from its path, with {100 * accuracy.probability:g} %"
+        name = f"tool off its path, all errors counted, with {100 * accuracy.probability:g} %"
         yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
     before, after = (off if off is not None and np.isfinite(off) else None for off in plan.bent_offsets)
     if after is not None:
-        yield _row("bent arm at rest off its path", "bent_offsets", "mm", ".2f", after, before, first=True)
+        name = "modelled sag at rest that is not compensated"
+        yield _row(name, "bent_offsets", "mm", ".2f", after, before, first=True)
     if (sway := plan.sway) is not None:
         (swayed, swung), swing = plan.baseline_sway or (None, None), 1e-3 * sway.swing_mm
         of = f", stiffness ±{100 * sway.stiffness_share:g} %"
@@ -136,6 +140,7 @@ def _holding(plan: Plan) -> Iterator[Row]:
         return
     if (use := hold_use(plan.job)) is not None:
         yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
+    rows = list[Row]()
     for name, planned, other in (
         ("adhesion needed, whole job", plan.job.figures, None if baseline is None else baseline.job_figures),
         ("adhesion needed at work", plan.figures, None if baseline is None else baseline.figures),
@@ -143,8 +148,10 @@ def _holding(plan: Plan) -> Iterator[Row]:
         needed = [None if each is None else each.adhesion_needed for each in (planned, other)]
         if any(needed):
             after, before = (None if each is None else each.peak for each in needed)
-            modes, first = tuple("" if each is None else each.mode for each in needed[::-1]), "whole" in name
-            yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
+            modes = tuple("" if each is None else each.mode for each in needed[::-1])
+            key, format = "adhesion_needed.peak", ".2f"
+            rows.append(_row(name, key, "kN", format, after, before, modes=modes, first=True))
+    yield from _whole_or_work(*rows, both=False)
     if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
         yield _row(name, "emergency_stop", "kN", ".2f", stop.peak, modes=modes)
@@ -158,14 +165,24 @@ def _holding(plan: Plan) -> Iterator[Row]:
         yield _row(name, "emergency_stop", "", ".3f", clamp_in_stop(plan.scene, plan.robot, plan.job, number))
 
 
+def _whole_or_work(*rows: Row, both: bool) -> Iterator[Row]:
+    """The rows of the whole job and of the work, if any: that where the baseline has as much says nothing."""
+    if rows:
+        (_, *whole), (_, *work) = (row.cells for row in rows)
+        told = whole[0] == whole[1] and whole != work
+        rows = replace(rows[0], told=told), replace(rows[1], told=whole == work or not (both or told))
+    yield from rows
+
+
 def _base(plan: Plan) -> Iterator[Row]:
     """What the base bears."""
     base, part = plan.scene.base_name, "static" if plan.robot.pushed else "gravity"
-    yield from _metrics(
+    peaks = _metrics(
         plan,
         (f"peak torque on the {base}, whole job", "peak_guardrail_torque", "Nm", ".2f", True),
         ("peak torque at work", "peak_guardrail_torque", "Nm", ".2f", True),
     )
+    yield from _whole_or_work(*peaks, both=True)
     for segment in plan.job.segments:
         if segment.kind == "free":
             other = plan.baseline and plan.baseline.segment(segment.name)

@@ -83,7 +83,9 @@ def test_sag_beyond_the_allowed_deviation_is_told(
     # The simulation sways about the sag.
     found, moved = 1e-3 * float(said.split()[10]), short_tracking.planned
     assert abs(found - moved.largest_off_path) <= moved.largest(moved.dynamic)
-    (row,) = (row for row in short_plan.rows() if row[0] == "bent arm at rest off its path, mm")
+    (row,) = (
+        row for row in short_plan.rows() if row[0] == "modelled sag at rest that is not compensated, mm"
+    )
     assert row[-1] == f"{1e3 * found:.2f}"
     for sags, expected in ((0.99 * found, True), (1.01 * found, False)):
         options = replace(short_plan.options, max_tool_deviation_m=sags)
@@ -220,7 +222,7 @@ def test_what_is_shown_first_is_short_and_begins_with_the_tool(
     plan: Plan = request.getfixturevalue(name)
     rows, sentences = list(plan.rows(first=True)), first_remarks(plan)
     assert len(rows) <= 10 and len(sentences) <= 5
-    assert rows[0][0].startswith("tool from its path" if plan.accuracy else "largest tool deviation")
+    assert rows[0][0].startswith("tool off its path" if plan.accuracy else "largest tool deviation")
     assert set(rows) <= set(plan.rows())
     assert plan.summary().count("\n") == len(rows)
     base = f"The {plan.scene.base_name} must bear"
