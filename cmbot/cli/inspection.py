@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -19,7 +20,7 @@ from cmbot.cli.planning import loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.common.reading.input_files import is_file
-from cmbot.common.reading.yaml_reader import name_line
+from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ class CheckCommand(Reporting):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
-                name_line(message, file)
+                with suppress(InputError), lines_named(file):
+                    raise message
                 out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:
@@ -297,7 +299,7 @@ class VerifyCommand(Reporting):
             if others := "; ".join(verdict.other_options):
                 print_lines([f"Options other than asked: {others}."])
             out.print("Certified anew, and computed a second time at 300 states of each motion.")
-            print_lines([f"Not verified: {'; '.join(verdict.not_verified) or 'nothing'}."])
+            print_lines(["Not verified:", *(f"- {each}" for each in verdict.not_verified or ["nothing"])])
             out.print(second if asked else missing)
 
         if not self.json:

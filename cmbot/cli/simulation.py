@@ -186,7 +186,7 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
 def _print_summary(plan: cmbot.Plan, tracking: cmbot.Tracking) -> None:
     told = cmbot.simulation
     rows = told.tracking_summary(tracking, compensated=plan.compensation is not None)
-    print_table(f"{plan.scene.name}, mm", tracking.headings, rows)
+    print_table(f"{plan.scene.name}, simulated, mm", tracking.headings, rows)
     others = told.interval_rows(tracking)
     print_table("With another stiffness", told.interval_headings(tracking), others, text_columns=2)
     out.print(told.tracking_verdict(plan, tracking))

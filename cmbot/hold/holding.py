@@ -306,14 +306,13 @@ class Holding:
         """Return what a foot uses most of what it bears under a wrench (1, 6), where something is known."""
         uses = list[FootUse]()
         for number, foot in enumerate(self.feet):
-            bounds, load = foot.bounds, np.abs(self.load(number, wrench)[0])
-            asked = [(load[k], bounds[k], LOADS[k]) for k in range(len(LOADS))]
+            asked = [*zip(np.abs(self.load(number, wrench)[0]), foot.bounds, LOADS, strict=True)]
             if foot.adhesion is not None:
                 asked.append((max(self.needed(number, wrench)[0], 0.0), foot.adhesion, "N of adhesion"))
             which = f"foot {number + 1}" if len(self.feet) > 1 else "a foot"
             for k, (value, most, name) in enumerate(asked):
-                words = f"{value:.0f} {name}, times safety {foot.safety:g}, where {which} has {most:.0f}"
-                words, share = f"{words} {name.split()[0]}", float(foot.safety * value / most)
+                words = f"{value:.0f} {name}, times safety {foot.safety:g}, where {which} has {most:.0f} "
+                words, share = words + name.split()[0], float(foot.safety * value / most)
                 bound = ("force_n", "moment_nm", "adhesion_n")[k // 3]
                 uses.append(FootUse(share=share, foot=number, bound=bound, axis=k % 3, in_words=words))
         return max(uses, key=lambda use: use.share)

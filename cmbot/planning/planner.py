@@ -353,9 +353,7 @@ class _Planner:
         if not self.brief:
             blocked = upright(request) if missed is None else ""
             leant = leaning(scene, request) if blocked or missed else ""
-            firm = firmer(scene, request)
-            firm += ", or cmbot stand" if firm and scene.is_movable else ""
-            for hint in filter(None, (blocked, leant, firm)):
+            for hint in filter(None, (blocked, leant, firmer(scene, request))):
                 error.add_hint(hint)
         if stroke.shortest is not None:
             where = "the legs of " * bool(request.stroke.file.legs) + request.stroke.key

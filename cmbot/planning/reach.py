@@ -116,8 +116,7 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         if miss is not None:
             some, is_cut = bool(miss.missed.found.any()), _is_cut(stroke)
             left_out = "rows beyond it are left out" if some and is_cut else ""
-            elsewhere = ", or another place (cmbot stand)" * scene.is_movable
-            wanted = f"feet that bear it{elsewhere}" if miss.feet_bind else ""
+            wanted = "feet that bear it" if miss.feet_bind else ""
             remedy = leaning(scene, at) or firmer(scene, at) or ("" if left_out else miss.remedy())
             expected = "; ".join(filter(None, (left_out, remedy)))
             is_refused = not some or (not is_cut and (number > 0 or not miss.missed.is_held))
@@ -145,12 +144,10 @@ def firmer(scene: Scene, request: StrokeRequest) -> str:
         use = max((holding.most_used(wrench) for wrench in wrenches), key=lambda each: each.share)
         if use.share <= 1.0:
             words = " and ".join(f"{key} {value}" for key, value in values.items())
-            return words and f"{words} would do at rest"
+            return words and f"{words} would do at rest{', or cmbot stand' * scene.is_movable}"
         foot, (key, hold) = holding.feet[use.foot], asked.hold_of(use.foot)
         if use.bound == "adhesion_n" and use.share * (foot.adhesion or 0.0) > foot.most_adhesion:
-            return (
-                f"no magnet on this contact pulls more than {foot.most_adhesion / 1e3:.1f} kN: a clamp may do"
-            )
+            return f"no magnet pulls more than {foot.most_adhesion / 1e3:.1f} kN there: a clamp may do"
         each = [ceil(bound) for bound in np.atleast_1d(getattr(hold, use.bound))]
         each[use.axis] = 10 * ceil(use.share * each[use.axis] / 10)
         values[f"{key}.{use.bound}"] = each if len(each) > 1 else each[0]

@@ -53,7 +53,7 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
     rows = {
         sag: [motion.metrics.static.mean[3] for motion in each],
         "tool sways beside its sag, at most": [motion.largest(motion.dynamic) for motion in each],
-        "simulated tool off its path, sag and sway, at most": [motion.largest_off_path for motion in each],
+        "tool off its path as simulated, at most": [motion.largest_off_path for motion in each],
     }
     if all(motion.execution is not None for motion in each):
         rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in each]
@@ -173,11 +173,7 @@ def interval_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
     """
     for case in sorted(tracking.interval, key=lambda case: case.stiffness):
         at = f"{case.stiffness:g}"
-        yield (
-            at,
-            "simulated tool off its path, sag and sway, at most",
-            *(f"{1e3 * off:.3f}" for off in case.off_path),
-        )
+        yield at, "tool off its path as simulated, at most", *(f"{1e3 * off:.3f}" for off in case.off_path)
         if case.swing is not None:
             yield at, "tool swings after the stop", *(f"{1e3 * swing:.3f}" for swing in case.swing)
 

@@ -241,7 +241,7 @@ def _with_sag(curve: Curve, plan: Plan) -> Curve:
     """The tool's distance with the modelled sag, where the plan does not compensate it."""
     if plan.compensation is not None or not np.isfinite(plan.bent_offsets[1] or np.inf):
         return curve
-    t, off = np.hstack([np.array(each) for each in plan.bent_deviation])
+    t, off = np.hstack([np.array(each) for each in plan.bent_deviation[1]])
     return replace(curve, y=1e3 * np.interp(curve.t, t, off))
 
 

@@ -59,7 +59,7 @@ def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: 
     data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
     assert (data["scenes"], data["looser"]) == ([str(asked)], [])
     told, _, rest = output("verify", short_folder).partition("\n")
-    assert "Not verified: " in rest
+    assert "Not verified:" in rest
     assert told.startswith("Judged by what the folder says that was asked: --scene SCENE names the scene.")
     assert told.endswith(
         "'rigid'; its own tool_path; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."

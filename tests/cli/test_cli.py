@@ -122,9 +122,7 @@ def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: O
 def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
     """A narrow terminal on all three streams."""
     text = on_a_terminal("plan", folder / "short.yaml", "-o", tmp_path / "out", columns=78)
-    assert re.search(
-        r"│ peak torque on the guardrail, whole job, Nm +│ +\d+\.\d\d │ +\d+\.\d\d │", without_colours(text)
-    )
+    assert re.search(r"│ peak torque at work, Nm +│ +\d+\.\d\d │ +\d+\.\d\d │", without_colours(text))
     assert "\x1b[" in text
     assert "following the tool path" in text
     # A path on the last line is never broken, so that it can be copied.

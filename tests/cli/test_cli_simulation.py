@@ -106,7 +106,7 @@ def test_it_prints_a_summary_and_with_details_all_figures(
     folder, outcome = simulated
     lines = outcome.out.splitlines()
     rows = list(tracking_summary(short_tracking, compensated=False))
-    assert lines[0] == "short, mm"
+    assert lines[0] == "short, simulated, mm"
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
     others = list(interval_rows(short_tracking))
@@ -147,7 +147,7 @@ def test_the_answer_is_what_was_measured(short_tracking: Tracking) -> None:
     assert rows == {
         "tool sags, mean": pytest.approx([x.mean() for x in norms["static"]], abs=1e-3),
         "tool sways beside its sag, at most": pytest.approx([x.max() for x in norms["dynamic"]], abs=1e-3),
-        "simulated tool off its path, sag and sway, at most": pytest.approx(
+        "tool off its path as simulated, at most": pytest.approx(
             [x.max() for x in norms["path_error"]], abs=1e-3
         ),
         "tool swings after the stop": pytest.approx(swings, abs=1e-3),
@@ -164,7 +164,7 @@ def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Track
     plan: Plan = cmbot.load_plan(saved_short)
     rows = {name: float(planned) for name, _, planned in tracking_summary(short_tracking, compensated=False)}
     off, sways = (
-        rows["simulated tool off its path, sag and sway, at most"],
+        rows["tool off its path as simulated, at most"],
         rows["tool sways beside its sag, at most"],
     )
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
@@ -179,7 +179,7 @@ def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Track
 
 def test_on_a_terminal_it_draws_a_table(short_folder: Path) -> None:
     text = without_colours(on_a_terminal("simulate", short_folder, "--details", columns=80))
-    assert re.search(r"│ simulated tool off its path, sag and sway, at most +│ +\d+\.\d{3} │", text)
+    assert re.search(r"│ tool off its path as simulated, at most +│ +\d+\.\d{3} │", text)
     assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
 
 

@@ -118,7 +118,7 @@ def test_readme_python_runs(
     (code,) = (code for language, code in FENCE.findall(README.read_text("utf-8")) if language == "python")
     monkeypatch.chdir(tmp_path)
     exec(compile(code, str(README), "exec"), {})
-    assert "peak torque on the guardrail" in capsys.readouterr().out
+    assert "peak torque at work" in capsys.readouterr().out
     assert (tmp_path / "triangle" / "plan.json").is_file()
 
 

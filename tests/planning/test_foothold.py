@@ -321,7 +321,7 @@ def test_a_clamp_that_bears_more_than_a_thin_bar_is_told() -> None:
     # The member yields before, so no larger bound is advised.
     assert (blocked.severity, blocked.expected) == (
         "error",
-        "feet that bear it, or another place (cmbot stand)",
+        "feet that bear it",
     )
     most = 2 * np.pi * 0.02**3 / 32 * 235e6
     yields = "at which the member yields, of S235; so much is taken"

@@ -156,14 +156,9 @@ def lines_named(path: str | Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        name_line(error, path)
+        if error.source == str(path) and error.key and error.line is None:
+            error.set_line(_line_of(Path(path), error.key))
         raise
-
-
-def name_line(error: InputError, path: str | Path) -> None:
-    """Add to an error what `lines_named` adds."""
-    if error.source == str(path) and error.key and error.line is None:
-        error.set_line(_line_of(Path(path), error.key))
 
 
 def _line_of(path: Path, key: str) -> int | None:

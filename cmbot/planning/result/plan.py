@@ -464,46 +464,40 @@ class Plan(StrokePlan):
         return np.array(list(peaks))
 
     @cached_property
-    def bent_deviation(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
-        """How far the arm, bent at rest in every posture, is off the path of each stroke.
+    def bent_deviation(self) -> tuple[list[tuple[FloatArray, FloatArray]], ...]:
+        """How far the arm, bent at rest in every posture, is off its path: baseline's strokes, and planned.
 
-        Times on the job's clock, s, and distances, m, infinite where the arm is too soft to bear itself. What
-        sag is compensated is counted. Empty where nothing bends.
+        Of each stroke times, s, of the planned on the job's clock, and distances, m, infinite where the arm
+        is too soft to carry itself. What sag is compensated is counted. Empty where nothing bends.
         """
-        if self._own_sag is None:
-            return ()
-        each = [(segment, spread_times(segment.trajectory)) for segment in self.job.strokes]
-        return tuple(
-            (segment.begin + t, self._bent_off(segment.task, t, segment.trajectory.evaluate(t)))
-            for segment, t in each
-        )
-
-    @cached_property
-    def bent_offsets(self) -> tuple[float | None, float | None]:
-        """The largest such distance of the baseline, and of the plan; None where nothing bends."""
-        planned = [float(off.max()) for _, off in self.bent_deviation]
-        if not planned:
-            return None, None
-        baseline = list[float]()
-        for stroke, task, segment in zip(self.strokes, self.baseline_tasks, self.job.strokes, strict=True):
-            if stroke.baseline is not None:
-                samples, t = stroke.baseline.samples, spread_times(segment.trajectory)
-                near = np.searchsorted(samples.t, t).clip(max=len(samples.t) - 1)
-                baseline.append(float(self._bent_off(task, samples.t[near], samples.q[near]).max()))
-        return max(baseline, default=None), max(planned)
-
-    @cached_property
-    def _own_sag(self) -> Sag | None:
+        planned, baseline = list[tuple[FloatArray, FloatArray]](), list[tuple[FloatArray, FloatArray]]()
         arm = bending_arm(self.scene, self.robot)
-        return None if arm is None else Sag(arm)
+        if arm is None:
+            return baseline, planned
+        sag, kinematics = Sag(arm), Kinematics(self.robot)
 
-    def _bent_off(self, task: ToolTask, t: FloatArray, q: FloatArray) -> FloatArray:
-        try:
-            bent = Kinematics(self.robot).tool_poses(q)[0]
-            bent += 0.0 if self._own_sag is None else self._own_sag.following(q)
-        except InputError:
-            return np.full(len(t), np.inf)
-        return np.asarray(np.linalg.norm(task.path.leg_offset(t, bent), axis=1))
+        def offset(task: ToolTask, t: FloatArray, q: FloatArray) -> FloatArray:
+            try:
+                bent = kinematics.tool_poses(q)[0] + sag.following(q)
+            except InputError:
+                return np.full(len(t), np.inf)
+            return np.asarray(np.linalg.norm(task.path.leg_offset(t, bent), axis=1))
+
+        each = zip(self.strokes, self.baseline_tasks, self.job.strokes, strict=True)
+        for stroke, task, segment in each:
+            t = spread_times(segment.trajectory)
+            planned.append((segment.begin + t, offset(segment.task, t, segment.trajectory.evaluate(t))))
+            if stroke.baseline is not None:
+                samples = stroke.baseline.samples
+                near = np.searchsorted(samples.t, t).clip(max=len(samples.t) - 1)
+                baseline.append((samples.t[near], offset(task, samples.t[near], samples.q[near])))
+        return baseline, planned
+
+    @property
+    def bent_offsets(self) -> tuple[float | None, float | None]:
+        """The largest such distance of the baseline, and of the planned motion; None without one."""
+        before, after = (max((float(y.max()) for _, y in each), default=None) for each in self.bent_deviation)
+        return before, after
 
     def summary(self) -> str:
         """Return the figures that are shown first as an aligned table of plain text, of at most ten lines."""
@@ -526,7 +520,7 @@ class Plan(StrokePlan):
             Those alone that are shown first, at most ten.
         """
         for row in self.table:
-            if (row.first and not row.told) or not first:
+            if row.is_shown_first or not first:
                 name, before, planned = row.cells
                 yield (name, planned) if self.baseline is None else (name, before, planned)
 

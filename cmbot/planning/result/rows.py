@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -43,8 +43,6 @@ class Row:
         A word behind each value.
     first : bool
         Whether it is one of the lines that are shown first, at most ten of them.
-    told : bool
-        Whether another line, of the whole job or of the work, says as much: then it is not.
     """
 
     label: str
@@ -55,7 +53,6 @@ class Row:
     planned: float | None
     modes: tuple[str, str] = ("", "")
     first: bool = False
-    told: bool = False
 
     @property
     def cells(self) -> tuple[str, str, str]:
@@ -65,6 +62,12 @@ class Row:
             for value, mode in zip((self.baseline, self.planned), self.modes, strict=True)
         )
         return f"{self.label}, {self.unit}".removesuffix(", "), before, planned
+
+    @property
+    def is_shown_first(self) -> bool:
+        """Whether it is `first`, and no peak of the whole job that is the baseline's: see that at work."""
+        is_peak = "peak" in self.key and "whole job" in self.label
+        return self.first and not (is_peak and self.cells[1] == self.cells[2])
 
 
 def plan_rows(plan: Plan) -> tuple[Row, ...]:
@@ -140,7 +143,6 @@ def _holding(plan: Plan) -> Iterator[Row]:
         return
     if (use := hold_use(plan.job)) is not None:
         yield _row("feet use of what their safety allows", "certificate", "%", ".0f", use, first=True)
-    rows = list[Row]()
     for name, planned, other in (
         ("adhesion needed, whole job", plan.job.figures, None if baseline is None else baseline.job_figures),
         ("adhesion needed at work", plan.figures, None if baseline is None else baseline.figures),
@@ -148,10 +150,8 @@ def _holding(plan: Plan) -> Iterator[Row]:
         needed = [None if each is None else each.adhesion_needed for each in (planned, other)]
         if any(needed):
             after, before = (None if each is None else each.peak for each in needed)
-            modes = tuple("" if each is None else each.mode for each in needed[::-1])
-            key, format = "adhesion_needed.peak", ".2f"
-            rows.append(_row(name, key, "kN", format, after, before, modes=modes, first=True))
-    yield from _whole_or_work(*rows, both=False)
+            modes, first = tuple("" if each is None else each.mode for each in needed[::-1]), "whole" in name
+            yield _row(name, "adhesion_needed.peak", "kN", ".2f", after, before, modes=modes, first=first)
     if (stop := plan.emergency_stop) is not None:
         name, modes = "adhesion needed in an emergency stop", ("", stop.mode)
         yield _row(name, "emergency_stop", "kN", ".2f", stop.peak, modes=modes)
@@ -165,24 +165,16 @@ def _holding(plan: Plan) -> Iterator[Row]:
         yield _row(name, "emergency_stop", "", ".3f", clamp_in_stop(plan.scene, plan.robot, plan.job, number))
 
 
-def _whole_or_work(*rows: Row, both: bool) -> Iterator[Row]:
-    """The rows of the whole job and of the work, if any: that where the baseline has as much says nothing."""
-    if rows:
-        (_, *whole), (_, *work) = (row.cells for row in rows)
-        told = whole[0] == whole[1] and whole != work
-        rows = replace(rows[0], told=told), replace(rows[1], told=whole == work or not (both or told))
-    yield from rows
-
-
 def _base(plan: Plan) -> Iterator[Row]:
     """What the base bears."""
     base, part = plan.scene.base_name, "static" if plan.robot.pushed else "gravity"
-    peaks = _metrics(
+    # On a guardrail it is about the foot.
+    about = "" if plan.scene.on_guardrail else f" about ({', '.join(f'{x:.3g}' for x in load_point(plan))}) m"
+    yield from _metrics(
         plan,
-        (f"peak torque on the {base}, whole job", "peak_guardrail_torque", "Nm", ".2f", True),
+        (f"peak torque on the {base}{about}, whole job", "peak_guardrail_torque", "Nm", ".2f", True),
         ("peak torque at work", "peak_guardrail_torque", "Nm", ".2f", True),
     )
-    yield from _whole_or_work(*peaks, both=True)
     for segment in plan.job.segments:
         if segment.kind == "free":
             other = plan.baseline and plan.baseline.segment(segment.name)
