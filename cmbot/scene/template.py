@@ -232,7 +232,10 @@ def scene_text(
 _RIGID_BASE = """\
 {bays: 0}  # none: a rigid base, unless there is base.tube, or a stiffness at the origin of W:
 # guardrail: {bays: 0, stiffness: [4.0e+5, 4.0e+5, 2.0e+6, 2.5e+5, 2.5e+5, 1.4e+5]}
-# Along x, y, z in N/m, then about them in Nm/rad; or 6 rows, the inverse of the matrix of compliances."""
+# Along x, y, z in N/m, then about them in Nm/rad; or 6 rows, the inverse of the matrix of compliances.
+# Or an aluminium mast, clamped at start_m; it holds the arm at end_m, the origin of W if left out:
+# base: {name: mast, tube: {start_m: [0, 0, -2.5], outer_diameter_m: 0.1, wall_m: 0.004, young_pa: 70.0e+9,
+#   shear_pa: 26.0e+9, density_kg_m3: 2700}}"""
 
 
 def _rigid_base(arm: Robot) -> str:

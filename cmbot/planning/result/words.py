@@ -190,7 +190,8 @@ def _base(note: Any) -> str:
             text += f", {_against(note.work_nm, note.baseline_work_nm)}" if compared else before
     if note.still_kg > 0:
         text += (
-            f"; not counted are {note.still_nm:.1f} Nm by the {note.still_kg:.1f} kg on it that do not move"
+            f"; the {note.still_kg:.1f} kg on it that never move, as below the first joint, add a constant "
+            f"{note.still_nm:.1f} Nm"
         )
     return f"{text}."
 

@@ -188,7 +188,7 @@ class Player {
     const [phase, moment] = this.at(this.time);
     for (const [name, motion] of Object.entries(phase.motions)) this.showMotion(name, motion, moment);
     const [label, begin, end] = this.part(phase);
-    this.put("subtitle", [data.robot, label, `${(end - begin).toFixed(1)} s`].filter(Boolean).join(", "));
+    this.put("subtitle", [data.robot, label, `${(end - begin).toFixed(1)} of ${(data.end - data.start).toFixed(1)} s`].filter(Boolean).join(", "));
     this.ui.scrub.value = this.time;
     this.put("time", `${seconds(this.time)} / ${seconds(data.end)} s`);
     this.ui.scrub.setAttribute("aria-valuetext", `${seconds(this.time)} s`);
