@@ -146,10 +146,10 @@ def firmer(scene: Scene, request: StrokeRequest) -> str:
             words = " and ".join(f"{key} {value}" for key, value in values.items())
             return words and f"{words} would do at rest{', or cmbot stand' * scene.is_movable}"
         foot, (key, hold) = holding.feet[use.foot], asked.hold_of(use.foot)
-        if use.bound == "adhesion_n" and use.share * (foot.adhesion or 0.0) > foot.most_adhesion:
-            return f"no magnet pulls more than {foot.most_adhesion / 1e3:.1f} kN there: a clamp may do"
         each = [ceil(bound) for bound in np.atleast_1d(getattr(hold, use.bound))]
         each[use.axis] = 10 * ceil(use.share * each[use.axis] / 10)
+        if use.bound == "adhesion_n" and each[0] > foot.most_adhesion:
+            return f"no magnet pulls more than {foot.most_adhesion / 1e3:.1f} kN there: a clamp may do"
         values[f"{key}.{use.bound}"] = each if len(each) > 1 else each[0]
         asked = scene.with_values(values)
         request = replace(request, cell=replace(cell, robot=replace(cell.robot, feet=robot_of(asked).feet)))
