@@ -20,7 +20,6 @@ from cmbot.cli.planning import loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.common.reading.input_files import is_file
-from cmbot.common.reading.yaml_reader import lines_named
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
@@ -74,6 +73,9 @@ class CheckCommand(Reporting):
     )
 
     def __call__(self) -> int:
+        # It loads NumPy.
+        from cmbot.common.reading.yaml_reader import lines_named
+
         file, is_urdf = self.file, _is_robot(self.file)
         if self.changes and is_urdf:
             raise InputError("--set", "", "a URDF to check", "a scene to check")
