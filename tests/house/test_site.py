@@ -100,7 +100,7 @@ def test_the_tutorial_runs(
     for code in blocks:
         exec(compile(code, "tutorial.md", "exec"), names)
     printed = capsys.readouterr().out
-    assert "peak torque on the guardrail" in printed
+    assert "peak torque at work" in printed
     off = [float(x) for x in re.findall(r"is (\S+) mm \(RMS\) off its path", printed)]
     assert len(off) == 2
     assert off[1] < 0.1 * off[0]
