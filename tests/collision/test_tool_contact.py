@@ -136,8 +136,8 @@ def test_a_path_deep_in_what_it_may_touch_is_refused(depth: float, length: int) 
     told = rf"tool_path.legs\[0\]: got {length} mm of the tip in board, the tool point at \(0.500, "
     with pytest.raises(SceneError, match=told):
         plan(scene)
-    (error,) = (each for each in precheck_scene(scene).warnings if each.severity == "error")
-    assert error.got.startswith(f"{length} mm of the tip in board")
+    errors = [each.got for each in precheck_scene(scene).warnings if each.severity == "error"]
+    assert any(each.startswith(f"{length} mm of the tip in board") for each in errors)
 
 
 @given(
