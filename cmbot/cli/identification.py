@@ -209,6 +209,8 @@ class LocateCommand(Writing):
 
         if Path(self.source).suffix.lower() == ".csv":
             raise InputError(self.source, "--propose", "a CSV file", "a scene, whose corners can be touched")
+        if self.output is not None and self.output.suffix.lower() not in (".yaml", ".yml"):
+            raise InputError(str(self.output), "--output", "no name of a YAML file", "one that ends in .yaml")
         scene = cmbot.load_scene(self.source)
         features, covariance = cmbot.identification.features_to_touch(scene, number)
         target, joints = self.output or Path(f"{scene.name}.touches.yaml"), len(scene.posture)

@@ -435,7 +435,7 @@ def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
             got = f"{1e3 * length:.0f} mm of the tip in {obstacle.name}, the tool point at ({where}) m"
             expected = f"at most {1e3 * _MOST_PRESSED_M:g} mm, by which a tool is pressed"
             if stroke.file.raster is not None:
-                expected += "; on a raster it points against u x v, which -v turns round"
+                expected += "; on a raster it points against u x v, which u and v exchanged turn round"
             key = stroke.leg_key(path.leg_to(float(times[k])))
             yield Finding(severity="error", key=key, got=got, expected=expected)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -45,6 +45,8 @@ _WORDS = {
     "travel_deg": ("travel", "degrees"),
     "seconds": ("duration", "s"),
 }
+# By so much of itself an area may differ by rounding.
+_SAME_AREA = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +155,9 @@ class Judge:
             options = replace(placed.planner, time_limit_s=limit)
             # First what takes a tenth of a plan's time.
             scene = reached_scene(placed, options, deadline)
-            if left_out := unreached_area(scene):
+            # Where the scene has it rows are left out as `plan` does; no other stance leaves out more.
+            left_out = 0.0 if result.own else unreached_area(scene)
+            if left_out and left_out > self._own_unreached * (1 + _SAME_AREA):
                 why = "of the rasters are not reached"
                 rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
                 return result.rejected("plan", rejection)
@@ -168,6 +172,15 @@ class Judge:
         value = value_of(made, figures, self.objective)
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))
+
+    @cached_property
+    def _own_unreached(self) -> float:
+        """Area of rasters, m2, that the arm does not reach where the scene has it; 0 where it has no plan."""
+        scene = self.as_it_is
+        try:
+            return unreached_area(reached_scene(scene, scene.planner, Deadline(scene.planner.time_limit_s)))
+        except CmbotError:
+            return 0.0
 
     def _placed(self, result: StanceResult) -> Scene:
         if result.own:

@@ -118,7 +118,7 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
     # A plan that was read has its file for a source.
     read, scene = Path(moved.scene.source), by.scene.name
     folder = str(read.parent) if read.suffix == ".json" else called
-    command = f"cmbot evaluate {scene if scene in shipped_scenes() else f'{scene}.yaml'} --motion {folder}"
+    command = f"cmbot evaluate {scene if scene in shipped_scenes() else 'SCENE'} --motion {folder}"
     measured = ", which was measured" * (by.scene.identified is not None)
     return (
         f"Beside {first}, {'; '.join(told)}.",

@@ -23,6 +23,9 @@ def test_a_sheet_of_corners_and_what_it_will_tell(tmp_path: Path, monkeypatch: p
     outcome = run("locate", "triangle", "--propose", "4")
     assert outcome.status == 2
     assert "--force" in outcome.err
+    outcome = run("locate", "triangle", "--propose", "4", "-o", "touches.csv")
+    assert outcome.status == 2
+    assert "touches.csv: --output: got no name of a YAML file, expected one that ends in .yaml" in outcome.err
 
 
 def test_touched_corners_move_the_workpiece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,17 @@ def test_no_plan_of_another_mount_undercuts_what_is_proven(ranking: StanceRankin
         assert peak >= 0.999 * each.proven
 
 
+def test_rows_that_a_wall_takes_are_left_out_where_the_scene_has_it() -> None:
+    """As `plan` leaves them out."""
+    raster = {"origin": [0.4, 0.05, 0.35], "u": [0, -0.1, 0], "v": [0.15, 0, 0], "spacing_m": 0.05}
+    wall = {"name": "wall", "box": [0.02, 0.6, 0.6], "xyz": [0.58, 0, 0.5]}
+    path = {"keep": "axis", "raster": raster | {"stand_off_m": 0.05}, "speed_m_s": 0.1, "via_points": 31}
+    scene = panda(tool_path=path, obstacles=[wall], mounts=[{"name": "here", "xyz": [0, 0, 0]}])
+    (found,) = stand(scene, StandOptions(plans=1, proofs=0))
+    (own,) = found.own
+    assert own.plan is not None and own.plan.rows_left_out
+
+
 def test_what_is_far_away_is_out_of_reach(ranking: StanceRanking) -> None:
     (far,) = [each for each in ranking.ranked if each.place.startswith("far")]
     assert far.status == "out of reach"

@@ -210,10 +210,10 @@ def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, 
     assert "Beside <one>, in soft the stiffness of the guardrail is 0.5 times as large; in loaded" in said
     assert "the payload, kg, is 2 in place of 0" in said
     assert "of the links nothing bends" in said
-    command = "cmbot evaluate short.yaml --motion soft judges the motion of soft by the scene of <one>."
+    command = "cmbot evaluate SCENE --motion soft judges the motion of soft by the scene of <one>."
     assert todo.endswith(command)
     read = {"one": plan, "soft": replace(soft, scene=soft.scene.with_source("out/soft/plan.json"))}
-    assert "cmbot evaluate short.yaml --motion out/soft judges" in unlike(read)[1]
+    assert "cmbot evaluate SCENE --motion out/soft judges" in unlike(read)[1]
     # The stiffness that was measured judges the other's motion.
     link = {"name": "link_1", "modelled": 1e4, "factor": 1.0}
     known = IdentifiedStiffness.model_validate({"links": (link,), "covariance": ((0.01,),)})

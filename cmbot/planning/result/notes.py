@@ -158,8 +158,6 @@ def _base(plan: Plan) -> dict[str, Any]:
         "work_faults": baseline_faults(plan, work=True),
         "further": further(plan),
         "swings": None if calmer is None or plan.sway is None else (plan.sway.swing_mm, 1e3 * calmer[1]),
-        # Of the shipped robot its own pages say it.
-        "still_kg": 0.0 if plan.scene.on_guardrail else plan.robot.carrier_mass,
         "still_nm": float(np.linalg.norm(plan.robot.carrier_torque)),
     }
     ends = [("begins", plan.scene.posture)]

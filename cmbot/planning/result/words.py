@@ -22,6 +22,8 @@ MOST_FIRST = 5
 
 # A peak lower by less than this share is hardly a gain.
 _SMALL_GAIN_SHARE = 1e-2
+# What never moves is told of where it adds this share of the peak.
+_TOLD_STILL_SHARE = 1e-2
 # Of a swing, mm, that is seen, what is fewer times as large is not much calmer.
 _CALMER_FACTOR, _SEEN_MM = 2.0, 0.01
 # A gain below this share is told with what it costs: joints that travel so many times as far, or more.
@@ -188,11 +190,8 @@ def _base(note: Any) -> str:
             compared = note.faults and not note.work_faults
             before = f" (baseline {note.baseline_work_nm:.1f} Nm)"
             text += f", {_against(note.work_nm, note.baseline_work_nm)}" if compared else before
-    if note.still_kg > 0:
-        text += (
-            f"; the {note.still_kg:.1f} kg on it that never move, as below the first joint, add a constant "
-            f"{note.still_nm:.1f} Nm"
-        )
+    if note.still_nm > _TOLD_STILL_SHARE * note.peak_nm:
+        text += f"; the still part adds {note.still_nm:.1f} Nm"
     return f"{text}."
 
 
