@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -74,7 +73,7 @@ class CheckCommand(Reporting):
 
     def __call__(self) -> int:
         # It loads NumPy.
-        from cmbot.common.reading.yaml_reader import lines_named
+        from cmbot.common.reading.yaml_reader import name_line
 
         file, is_urdf = self.file, _is_robot(self.file)
         if self.changes and is_urdf:
@@ -97,8 +96,7 @@ class CheckCommand(Reporting):
             if finding.severity == "error" or not self.quiet:
                 # As long as an error's message at most.
                 message = InputError(file, finding.key, finding.got, finding.expected)
-                with suppress(InputError), lines_named(file):
-                    raise message
+                name_line(message, file)
                 out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:

@@ -325,10 +325,10 @@ def track_work(
     """
     first = work.postures(np.zeros(1))
     modes = arm_modes(arm, first[0])
-    # The tool comes on when the work begins.
-    start = Sag(arm.tool_off).equilibria(first)[0][0]
-    if options.initial != "equilibrium":
-        start = np.zeros_like(start)
+    start = np.zeros_like(modes.u)
+    if options.initial == "equilibrium":
+        # The tool comes on when the work begins.
+        start = Sag(arm.tool_off).equilibria(first)[0][0]
     loaded = {True: arm, False: arm.tool_off}
     motions: list[DrivenMotion] = [part.motion for part in work.parts]
     forces = [loaded[part.path is not None].external_forces for part in work.parts]

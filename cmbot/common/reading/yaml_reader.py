@@ -156,9 +156,14 @@ def lines_named(path: str | Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.source == str(path) and error.key and error.line is None:
-            error.set_line(_line_of(Path(path), error.key))
+        name_line(error, path)
         raise
+
+
+def name_line(error: InputError, path: str | Path) -> None:
+    """Add to an error that names a key of a YAML file the line of that key: see `lines_named`."""
+    if error.source == str(path) and error.key and error.line is None:
+        error.set_line(_line_of(Path(path), error.key))
 
 
 def _line_of(path: Path, key: str) -> int | None:

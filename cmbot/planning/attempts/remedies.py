@@ -232,21 +232,23 @@ def _more_via_points(trial: AnyTrial) -> Iterator[Attempt]:
     """
     request, guess = trial.attempt.request, trial.attempt.guess
     count = len(request.times) - 1
-    if isinstance(guess, InitialGuess) and leap(request, guess.problem.parametrization.via_points):
-        return
+
+    def leaps() -> bool:
+        return isinstance(guess, InitialGuess) and leap(request, guess.problem.parametrization.via_points) > 0
+
     match trial.outcome:
         case NoTrajectory(broken=ToolOff(ratio=ratio)) | Uncertified(broken=ToolOff(ratio=ratio)):
-            if ratio <= 1.0:
+            if ratio <= 1.0 or leaps():
                 return
             if ratio <= 1.0 + _MISSED and _MORE_VIA_POINTS_FACTOR * count < _MOST_OF_THEM:
                 number = int(np.ceil(_MORE_VIA_POINTS_FACTOR * count)) + 1
                 yield from _with_via_points(trial, number, "the tool strays a little")
             most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
             for factor in sorted({_FINER[0], most}):
-                number = factor * (len(request.times) - 1) + 1
+                number = factor * count + 1
                 if number <= _MOST_VIA_POINTS:
                     yield from _with_via_points(trial, number, "the tool strays between via-points")
-        case NoTrajectory(broken=NearObstacle(distance=distance)) if distance < 0:
+        case NoTrajectory(broken=NearObstacle(distance=distance)) if distance < 0 and not leaps():
             if (number := _FINER[0] * count + 1) <= _MOST_VIA_POINTS:
                 yield from _with_via_points(trial, number, "the arm collides between via-points")
 
