@@ -167,6 +167,13 @@ class QuinticTrajectory(ShortRepr):
         still = np.zeros((2, len(q)))
         return cls(t=np.array([0.0, seconds]), q=still + q, v=still, a=still)
 
+    def standing(self, begin: float, end: float) -> QuinticTrajectory:
+        """Return a motion from rest to rest with the joints held before it, from `begin`, and after it, s."""
+        before, after = int(begin < self.t[0]), int(end > self.t[-1])
+        t = np.concatenate([[begin] * before, self.t, [end] * after])
+        q, v, a = (np.pad(x, ((before, after), (0, 0)), "edge") for x in (self.q, self.v, self.a))
+        return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
     @property
     def duration(self) -> float:
         """Time from the first knot to the last, s."""

@@ -13,7 +13,7 @@ from cmbot.archive import export_ros, save
 from cmbot.common.errors import InputError
 from cmbot.evaluation import JointMotion, evaluate, evaluation_json, read_motion
 from cmbot.planning import MotionMetrics, Plan, plan
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import load_scene
 from cmbot.simulation import Tracking
 from cmbot.toolpath import SpeedProfile
@@ -52,6 +52,16 @@ def test_a_plans_own_message_has_its_figures(
     bounds, expected = found.job.certificate, planned.job.certificate
     assert bounds.clearance_bound == pytest.approx(expected.clearance_bound, abs=1e-6)
     assert bounds.guardrail_torque_bound == pytest.approx(expected.guardrail_torque_bound, rel=1e-6)
+
+
+def test_a_stroke_begins_where_its_arm_moves_off(short_plan: Plan) -> None:
+    """A tool that is 5 mm beside its path all along, as where sag is compensated, is not late."""
+    waiting = short_plan.trajectory.standing(-1.0, short_plan.trajectory.t[-1])
+    t = np.linspace(-1.0, waiting.t[-1], round(waiting.duration / 2e-3) + 1)
+    point = Kinematics(short_plan.robot).tool_pose(waiting.q[0]).translation + np.array([0.0, 5e-3, 0.0])
+    scene = short_scene(tool_path={"from": {"xyz": point.tolist()}})
+    (stroke,) = evaluate(scene, t, *(waiting.evaluate(t, order) for order in range(3))).job.strokes
+    assert stroke.begin == pytest.approx(1.0, abs=1e-9)
 
 
 def test_a_plan_directory_and_its_table_have_the_same_motion(short_plan: Plan, saved_short: Path) -> None:
