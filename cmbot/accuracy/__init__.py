@@ -15,4 +15,9 @@ from cmbot.accuracy.parts import (
     parts_of as parts_of,
 )
 from cmbot.accuracy.quietness import Quietness as Quietness, quietness_of as quietness_of
-from cmbot.accuracy.sway import Sway as Sway, stroke_sway as stroke_sway, sway_along as sway_along
+from cmbot.accuracy.sway import (
+    Sway as Sway,
+    ramped as ramped,
+    stroke_sway as stroke_sway,
+    sway_along as sway_along,
+)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from cmbot.accuracy.parts import Part, parts_of
-from cmbot.accuracy.sway import Sway, sway_along
+from cmbot.accuracy.sway import Sway, ramped, sway_along
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.reading.file_types import NonNegative, Share
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
-from cmbot.robot import Robot
 from cmbot.scene import Placement, Tolerance, Uncertainty
 
 # Draws; postures of a stroke at most, and the time between them, s.
@@ -203,13 +202,14 @@ def accuracy_of(
         tolerance_share=kept,
         parts=budget.told,
         remedies=_remedies(
+            arm,
+            strokes,
             budget,
             uncertainty,
             within,
             asked.probability,
             compensated=compensated,
             share=share,
-            robot=arm.robot,
         ),
     )
 
@@ -220,6 +220,8 @@ def _within(distances: FloatArray, probability: float) -> float:
 
 
 def _remedies(
+    arm: ElasticArm,
+    strokes: Sequence[Work],
     budget: _Budget,
     uncertainty: Uncertainty,
     within: float,
@@ -227,7 +229,6 @@ def _remedies(
     *,
     compensated: bool,
     share: float,
-    robot: Robot,
 ) -> tuple[Remedy, ...]:
     """What would help, each computed as the budget without what it takes away, and all of it together."""
     tried = list[tuple[str, Callable[[_Budget], _Budget]]]()
@@ -235,12 +236,18 @@ def _remedies(
         tried.append(("compensate: true", lambda other: other.scaled({"sag": 0.0})))
     if share > _IDENTIFIED:
         tried.append(("cmbot identify", lambda other: other.scaled({"stiffness": _IDENTIFIED / share})))
-    if robot.fixed_tool is None and (
+    if arm.robot.fixed_tool is None and (
         uncertainty.foot.mm > _LOCATED.mm or uncertainty.foot.deg > _LOCATED.deg
     ):
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
-    if not robot.pushed:  # a force that sets in moves a slower tool as far
+    # A slower tool is moved as far by a force that sets in at once.
+    at_once = arm.robot.pushed and not arm.robot.tool_ramp
+    if not at_once:
         tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
+    elif 1e3 * np.linalg.norm(budget.sway, axis=2).max() > (1 - _MAX_REMEDY_SHARE) * within:
+        slowly = ramped(arm, strokes[0].motion(np.zeros(1), 0)[0])
+        name = f"tool.process_ramp_s: {slowly.robot.tool_ramp:g}"
+        tried.append((name, partial(_Budget.swayed, arm=slowly, strokes=strokes)))
     if budget.shaking is not None:
         tried.append(("work while the base is still", lambda other: replace(other, shaking=None)))
     found, all_together = list[Remedy](), budget
@@ -303,6 +310,11 @@ class _Budget:
         )
         share = factors.get("stiffness", 1.0) * self.share
         return replace(self, parts=parts, sway=factors.get("sway", 1.0) * self.sway, share=share)
+
+    def swayed(self, arm: ElasticArm, strokes: Sequence[Work]) -> _Budget:
+        """Return the budget with the sway of another arm along its strokes."""
+        each = [_integrated(arm, replace(work, sway=None), self.share) for work in strokes]
+        return replace(self, sway=np.concatenate(each, axis=1))
 
     def located(self, before: Placement) -> _Budget:
         """Return the budget with the foot as exact as touched points make it, where that is better."""
@@ -411,9 +423,7 @@ def _sampled(
     arm: ElasticArm, work: Work, share: float, *, compensated: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray | None]:
     """Postures, planned errors, directions along the path, tool axes, sway and shaking, of a stroke."""
-    duration = work.path.duration
-    count = int(np.clip(np.ceil(duration / _POSTURE_INTERVAL_S), 8, _MAX_STROKE_POSTURES))
-    t = np.linspace(0.0, duration, count + 1)
+    t = _times(work)
     q, along = work.motion(t, 0), work.path.leg_directions(t)
     # Where the sag is compensated the bent tool is to be on the path; else its sag is a part of its own.
     sag = Sag(arm).following(q) if compensated else 0.0
@@ -423,13 +433,24 @@ def _sampled(
         # In a pause the tool is on the leg before it.
         along = along[leading[np.maximum(np.searchsorted(leading, np.arange(len(t)), side="right") - 1, 0)]]
     axis = np.broadcast_to(work.rotation(t)[:, :, 2], along.shape)
-    factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
-    sway = work.sway or sway_along(arm, work.motion, duration, damping, factors, sets_in=True)
     shaking = work.shaking
     return (
-        *(q, offset, along, axis, _largest(t, sway.t, sway.tool.transpose(1, 0, 2))),
+        *(q, offset, along, axis, _integrated(arm, work, share)),
         None if shaking is None else _largest(t, shaking.t, shaking.tool),
     )
+
+
+def _times(work: Work) -> FloatArray:
+    """Times (N,) at which the postures of a stroke are taken, s."""
+    count = int(np.clip(np.ceil(work.path.duration / _POSTURE_INTERVAL_S), 8, _MAX_STROKE_POSTURES))
+    return np.linspace(0.0, work.path.duration, count + 1)
+
+
+def _integrated(arm: ElasticArm, work: Work, share: float) -> FloatArray:
+    """Sway (3, N, 3), m, with the least stiffness, the stated one and the largest."""
+    factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
+    sway = work.sway or sway_along(arm, work.motion, work.path.duration, damping, factors, sets_in=True)
+    return _largest(_times(work), sway.t, sway.tool.transpose(1, 0, 2))
 
 
 def _largest(t: FloatArray, times: FloatArray, tool: FloatArray) -> FloatArray:

@@ -6,13 +6,13 @@ With the elastic coordinates at equilibrium u_s(q(t)) and w what is added, to fi
 
 where M and K change with the posture. It is integrated by Newmark's method, for
 several factors on the stiffness at once: f is that of the stated stiffness. A force
-that sets in at once finds the arm in its equilibrium without it.
+that sets in finds the arm in its equilibrium without it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,7 @@ SETTLE_S = 2.0
 _MAX_MATRIX_INTERVAL_S, _MAX_MATRIX_POSTURES = 0.15, 120
 # Steps in a period of the slowest mode, and steps at most.
 _STEPS_PER_PERIOD, _MAX_TIME_STEPS = 24, 6000
+_RAMP_PERIODS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +86,8 @@ def sway_along(
     steps : int
         Of time, for each period of the slowest mode: motions whose acceleration jumps need twice as many.
     sets_in : bool
-        The process force sets in when the motion begins, at once; it was there before otherwise.
+        The process force sets in at once when the motion begins, or in `Robot.tool_ramp` seconds before; it
+        was always there otherwise.
     """
     count = int(np.clip(np.ceil(duration / _MAX_MATRIX_INTERVAL_S), 4, _MAX_MATRIX_POSTURES))
     knots = np.linspace(0.0, duration, count + 1)
@@ -105,12 +107,16 @@ def sway_along(
     M, K = (0.5 * (each[:-1] + each[1:])[:, None] for each in (at.mass, at.stiffness))
     K = K + (np.array(factors) - 1.0)[:, None, None] * arm.stiffness
     require_bearing(K, factors)
-    start = np.zeros((len(factors), len(D)))
+    start, before, loads, at_time = np.zeros((len(factors), len(D))), 0, -loads, place
     if sets_in and arm.robot.pushed:
+        lacks = at.stiffness[0] @ (Sag(arm.tool_off).equilibria(q[:1])[0][0] - at.u[0])
         # A softer arm is moved by more.
-        moved = Sag(arm.tool_off).equilibria(q[:1])[0][0] - at.u[0]
-        start = np.linalg.solve(K[0], at.stiffness[0] @ moved)
-    w, _ = newmark(M, D, K, -loads[:, None], place[:, None], float(t[1]), start)
+        start = np.linalg.solve(K[0], lacks)
+        before = int(np.ceil(arm.robot.tool_ramp / t[1]))
+        set_in = arm.robot.force_share(arm.robot.tool_ramp - t[1] * np.arange(before, 0, -1))
+        loads = np.concatenate([(1 - set_in)[:, None] * lacks, loads])
+        at_time = np.concatenate([np.zeros(before, dtype=np.intp), place])
+    w = newmark(M, D, K, loads[:, None], at_time[:, None], float(t[1]), start)[0][before:]
     lever = (1 - share) * at.lever[place] + share * at.lever[place + 1]
     return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
 
@@ -144,6 +150,15 @@ def stroke_sway(
 
     factors, damping = (1 - share, 1.0, 1 + share), arm.robot.damping_ratio
     return sway_along(arm, motion, float(end - begin) + SETTLE_S, damping, factors, steps, sets_in)
+
+
+def ramped(arm: ElasticArm, q: FloatArray) -> ElasticArm:
+    """Return the arm with a process force that sets in slowly: in two periods of the slowest mode.
+
+    That keeps 3 % of what the force does in posture `q` (n,) where it sets in at once.
+    """
+    seconds = _RAMP_PERIODS / float(arm_modes(arm, q).frequencies[0])
+    return replace(arm, robot=replace(arm.robot, tool_ramp=float(np.ceil(10 * seconds) / 10)))
 
 
 def require_bearing(stiffness: FloatArray, factors: Sequence[float]) -> None:

@@ -76,6 +76,11 @@ class ElasticArm:
         """The same arm with its tool off: no force acts on it."""
         return replace(self, robot=self.robot.tool_off) if self.robot.pushed else self
 
+    def pushed_by(self, share: float) -> ElasticArm:
+        """Return the same arm with a share of the force on its tool."""
+        x, y, z = self.robot.tool_force
+        return replace(self, robot=replace(self.robot, tool_force=(share * x, share * y, share * z)))
+
     def softened(self, factor: float, load: float = 0.0) -> ElasticArm:
         """Return the same arm with all its stiffness times `factor`, and `load` kg more at its tool."""
         options = replace(

@@ -34,6 +34,10 @@ _BLOCK, _RENEWED = 100, 10
 _MAY_LACK, _LACKS_LITTLE = 1e-2, 1e-3
 
 
+ExternalForces = Callable[[float], Any]
+"""External forces by joint, in their frames, as pinocchio takes them, at a time, s."""
+
+
 class DrivenMotion(Protocol):
     """What is prescribed to the driven coordinates."""
 
@@ -132,10 +136,11 @@ class GeneralizedAlpha:
         self._gamma = 0.5 + self._alpha_f - self._alpha_m
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         f, n = len(system.elastic), system.model.nv
-        self._external = system.external_forces
-        if self._external is None:
-            self._external = pin.StdVec_Force()
-            self._external.extend([pin.Force.Zero()] * system.model.njoints)
+        external = system.external_forces
+        if external is None:
+            external = pin.StdVec_Force()
+            external.extend([pin.Force.Zero()] * system.model.njoints)
+        self._stated: ExternalForces = lambda _: external
         self._data = system.model.createData()
         # Rows act on accelerations, displacements and rates, stacked in this order.
         self._linear = np.hstack([system.added_mass, system.stiffness, system.damping])
@@ -150,12 +155,12 @@ class GeneralizedAlpha:
         u: FloatArray,
         v: FloatArray,
         progress: Callable[[float], None] | None = None,
-        forces: Sequence[Any] | None = None,
+        forces: Sequence[ExternalForces] | None = None,
     ) -> ElasticMotion:
         """Integrate along prescribed motions, one after the other, from `u` and `v` (f,).
 
         Each continues the one before in position and velocity. Where the acceleration jumps, a step ends.
-        `forces` are the external ones along each motion, in place of the system's.
+        `forces` are the external ones along each motion, from a time on its clock, in place of the system's.
         `progress` is called about every 100 steps with the time that has been reached, s.
 
         Raises
@@ -167,8 +172,7 @@ class GeneralizedAlpha:
         # An overflow shows in the state, which every step checks.
         with np.errstate(over="ignore", invalid="ignore"):
             for number, motion in enumerate(motions):
-                if forces is not None:
-                    self._external = forces[number]
+                self._forces = self._stated if forces is None else forces[number]
                 part = self._along(motion, u, v, start, progress or (lambda _: None))
                 u, v, start = part.u[-1], part.v[-1], start + motion.duration
                 parts.append(part)
@@ -194,6 +198,7 @@ class GeneralizedAlpha:
         state[1], state[2] = u, v
         joints, *rates = motion.states(t[:1])
         coordinates = self._coordinates(joints, *rates)[0]
+        self._external = self._forces(0.0)
         state[0] += self._correction(coordinates, state, self._system.added_mass, refactor=True)
         state[3] = state[0]
         # Times, driven coordinates, and the rows of the state but the last, block by block.
@@ -206,7 +211,7 @@ class GeneralizedAlpha:
             some = t[done + length * np.arange(1, number + 1)]
             joints, *rates = motion.states(some)
             scheme = self._scheme(motion.duration / count * length)
-            after, states = self._block_of(self._coordinates(joints, *rates), state, scheme)
+            after, states = self._block_of(some, self._coordinates(joints, *rates), state, scheme)
             error = scheme.error(np.concatenate([state[None, 0], states[:, 0]]))
             # Also false for NaN.
             if length > 1 and not error < _MAY_LACK * self._tolerance:
@@ -247,12 +252,13 @@ class GeneralizedAlpha:
         )
 
     def _block_of(
-        self, prescribed: FloatArray, state: FloatArray, scheme: _Scheme
+        self, t: FloatArray, prescribed: FloatArray, state: FloatArray, scheme: _Scheme
     ) -> tuple[FloatArray, FloatArray]:
         """Steps from a `state` (4, f): the one after them, and at each (N, 3, f) the rows but the last."""
         states, to_u = np.empty((len(prescribed), 3, state.shape[1])), scheme.corrector[1, 0]
         for k, coordinates in enumerate(prescribed):
             careful, tried = self._careful, k % _RENEWED == _RENEWED - 1
+            self._external = self._forces(float(t[k]))
             state = scheme.predictor @ state
             for correction in range(self._corrections if careful or tried else 1):
                 renewed = correction == 0 and (careful or k % _RENEWED == 0)

@@ -127,7 +127,8 @@ def _asked(
     yield "tool point at the start", f"({point}) m"
     if robot.pushed:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
-        yield "process force on the tool", f"({force}) N along its axes"
+        slowly = f", which sets in within {robot.tool_ramp:g} s" if robot.tool_ramp else ""
+        yield "process force on the tool", f"({force}) N along its axes{slowly}"
     if scene.tool.max_speed_m_s is not None:
         fastest = max(_speeds(stroke.path).max() for stroke in strokes)
         yield "tool speed", f"{fastest:.4g} of at most {scene.tool.max_speed_m_s:g} m/s"

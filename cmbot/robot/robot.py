@@ -74,6 +74,8 @@ class Robot:
     tool_force : three floats
         Force that acts on the tool while it is on, at the tool point, along the tool's axes, N. It is part of
         every torque of this robot; see `tool_off`.
+    tool_ramp : float
+        Time in which that force sets in before a stroke, and ends after it, s; 0: at once.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
     fixed_tool : pinocchio.SE3 or None
@@ -116,6 +118,7 @@ class Robot:
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _ZERO_FORCE
+    tool_ramp: float = 0.0
     fixed_tool: Any = None
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
@@ -185,6 +188,11 @@ class Robot:
     def tool_off(self) -> Robot:
         """The same robot with its tool off: no force acts on it."""
         return replace(self, tool_force=_ZERO_FORCE) if self.pushed else self
+
+    def force_share(self, t: FloatArray) -> FloatArray:
+        """Return the share of the tool's force `t` (N,) s after it began to set in: of class C2."""
+        x = np.clip(t / self.tool_ramp, 0.0, 1.0) if self.tool_ramp else np.heaviside(t, 1.0)
+        return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
 
     def loaded(self, mass: float) -> Robot:
         """Return the same robot with a point mass, kg, more at its tool point."""

@@ -175,6 +175,9 @@ class Scene(FileModel):
         if self.tool.fixed is not None and any(self.tool.process_force_n):
             expected = "no force beside tool.fixed: it is not planned with yet"
             raise refusal(expected, got=shown(self.tool.process_force_n), key=("tool", "process_force_n"))
+        if self.tool.process_ramp_s and not any(self.tool.process_force_n):
+            expected = "0 without tool.process_force_n, or the force that sets in"
+            raise refusal(expected, got=self.tool.process_ramp_s, key=("tool", "process_ramp_s"))
         taken, frames = set(self.guardrail.member_names), [name for name, _ in self.frames]
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:

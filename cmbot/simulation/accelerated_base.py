@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticSystem
+from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticSystem, ExternalForces
 
 GroundAcceleration = Callable[[FloatArray], FloatArray]
 """The acceleration (N, 3), m/s2, in W, of what an arm stands on, at times (N,), s."""
@@ -26,9 +26,9 @@ _AXIS_COUNT = 3
 def on_accelerated_base(
     system: ElasticSystem,
     motions: Sequence[DrivenMotion],
-    forces: Sequence[Any],
+    forces: Sequence[ExternalForces],
     ground: GroundAcceleration,
-) -> tuple[ElasticSystem, list[DrivenMotion], list[Any]]:
+) -> tuple[ElasticSystem, list[DrivenMotion], list[ExternalForces]]:
     """Return a system on a shaken base, its motions one after the other, and the external forces along each.
 
     Parameters
@@ -36,8 +36,8 @@ def on_accelerated_base(
     system : ElasticSystem
         Mass outside its model moves with its first three elastic coordinates, if any.
     motions : sequence of DrivenMotion
-    forces : sequence
-        Along each motion, by joint.
+    forces : sequence of ExternalForces
+        Along each motion.
     ground : callable
     """
     model = pin.Model()
@@ -59,7 +59,7 @@ def on_accelerated_base(
     )
     begins = accumulate((motion.duration for motion in motions), initial=0.0)
     each = [_OnGround(motion, ground, begin) for motion, begin in zip(motions, begins, strict=False)]
-    return shaken, list(each), [_shifted(some) for some in forces]
+    return shaken, list(each), [_on_ground(some) for some in forces]
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,10 @@ class _OnGround:
         still = np.zeros((len(q), _AXIS_COUNT))
         moved = np.asarray(self.ground(self.begin + np.asarray(times)))
         return np.hstack([still, q]), np.hstack([still, v]), np.hstack([moved, a])
+
+
+def _on_ground(forces: ExternalForces) -> ExternalForces:
+    return lambda t: _shifted(forces(t))
 
 
 def _shifted(forces: Any) -> Any:

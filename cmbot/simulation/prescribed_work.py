@@ -9,6 +9,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning import Plan
+from cmbot.robot import Robot
 from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 
@@ -33,6 +34,18 @@ class WorkPart:
     motion: QuinticTrajectory
     path: ToolPath | None
     begin: float
+
+    def force_share(self, robot: Robot, times: FloatArray) -> FloatArray:
+        """Return the share of the process force at `times` (N,) on its own clock.
+
+        Between strokes it ends, and sets in again, while the arm stands.
+        """
+        if self.path is not None:
+            return np.ones_like(times)
+        if not robot.tool_ramp:
+            return np.zeros_like(times)
+        after = times - (self.motion.duration - robot.tool_ramp)
+        return 1 - robot.force_share(times) + robot.force_share(after)
 
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration at `times` (N,) on its own clock, after it its last."""

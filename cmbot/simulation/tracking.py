@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +20,13 @@ from cmbot.common.representation import ShortRepr, card
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, ElasticSystem, GeneralizedAlpha
+from cmbot.elastic.generalized_alpha import (
+    DrivenMotion,
+    ElasticMotion,
+    ElasticSystem,
+    ExternalForces,
+    GeneralizedAlpha,
+)
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, held_guardrail, held_point, require_plan, robot_of
@@ -325,27 +332,26 @@ def track_work(
     """
     first = work.postures(np.zeros(1))
     modes = arm_modes(arm, first[0])
-    start = np.zeros_like(modes.u)
+    start, rate, ramp = np.zeros_like(modes.u), np.zeros_like(modes.u), arm.robot.tool_ramp
     if options.initial == "equilibrium":
-        # The tool comes on when the work begins.
+        # The tool comes on when the work begins, or just before.
         start = Sag(arm.tool_off).equilibria(first)[0][0]
-    loaded = {True: arm, False: arm.tool_off}
     motions: list[DrivenMotion] = [part.motion for part in work.parts]
-    forces = [loaded[part.path is not None].external_forces for part in work.parts]
+    forces = [_forces(arm, partial(part.force_share, arm.robot)) for part in work.parts]
     if options.settle_s > 0:
         motions.append(QuinticTrajectory.held(work.end, options.settle_s))
-        forces.append(arm.external_forces)
+        forces.append(lambda _: arm.external_forces)
     curve = None
     if is_executed(options):
         curve, moved = executed(work, options)
         motions = list(moved)
+    waits: list[DrivenMotion] = [QuinticTrajectory.held(first[0], ramp)] if arm.robot.pushed and ramp else []
     if not arm.robot.coupling.is_free:
+        waits = [_OfAllJoints(motion, arm.robot.coupling) for motion in waits]
         motions = [_OfAllJoints(motion, arm.robot.coupling) for motion in motions]
     system = ElasticSystem.of(arm, modes.damping(options.damping_or(arm.robot.damping_ratio)) + arm.damping)
-    if ground is not None:
-        system, motions, forces = on_accelerated_base(system, motions, forces, ground)
-    integrator = GeneralizedAlpha(
-        system,
+    integrator = partial(
+        GeneralizedAlpha,
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,
@@ -353,7 +359,12 @@ def track_work(
         # What a controller does between the ends of longer steps would be left out.
         longest=_MAX_STEP_FACTOR if curve is None else 1,
     )
-    bent = integrator.run(motions, start, np.zeros_like(start), progress, forces)
+    if waits and options.initial == "equilibrium":
+        before = integrator(system).run(waits, start, rate, None, [_forces(arm, arm.robot.force_share)])
+        start, rate = before.u[-1], before.v[-1]
+    if ground is not None:
+        system, motions, forces = on_accelerated_base(system, motions, forces, ground)
+    bent = integrator(system).run(motions, start, rate, progress, forces)
 
     outputs = int(np.floor(bent.t[-1] / options.output_step_s * (1 + 1e-12))) + 1
     t = options.output_step_s * np.arange(outputs, dtype=np.float64)
@@ -363,10 +374,29 @@ def track_work(
     error = arm.tool_points(q, u, arm.model.createData()) - rigid - predicted
     static = -predicted
     for part, at, own in work.split(t):
-        static[at] += _sag(loaded[part.path is not None], part.motion, own)
+        share, sagging = part.force_share(arm.robot, own), partial(_sag, motion=part.motion, t=own)
+        static[at] += _with_share(share, partial(sagging, arm), partial(sagging, arm.tool_off))
     execution = execution_error(arm.robot, work, t, options, curve)
     base = None if arm.base is None else _base(arm, u, held)
     return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution, base)
+
+
+def _forces(arm: ElasticArm, share: Callable[[FloatArray], FloatArray]) -> ExternalForces:
+    """External forces of which a share is on the tool, from times (N,)."""
+
+    @lru_cache(maxsize=2)
+    def of(share: float) -> Any:
+        return arm.pushed_by(share).external_forces
+
+    return lambda t: of(float(share(np.array([t]))[0]))
+
+
+def _with_share(share: FloatArray, on: Callable[[], FloatArray], off: Callable[[], FloatArray]) -> FloatArray:
+    """What a share (N,) of the process force moves (N, 3), of what all of it and none of it does."""
+    if (share == 1).all():
+        return on()
+    none = off()
+    return none + share[:, None] * (on() - none) if share.any() else none
 
 
 @dataclass(frozen=True)
@@ -408,7 +438,8 @@ def expected_tool(
     if sag is not None:
         off = Sag(sag.arm.tool_off)
         for part, at, own in work.split(t):
-            predicted[at] = (off if part.path is None else sag).along(own, q[at])
+            along = (partial(some.along, own, q[at]) for some in (sag, off))
+            predicted[at] = _with_share(part.force_share(robot, own), *along)
     return rigid, predicted
 
 

@@ -581,6 +581,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
         yield "return to", str(scene.return_to)
     if robot.pushed:
         yield "process force on the tool, along its axes", f"({_numbers(robot.tool_force, 1)}) N"
+        yield "in which it sets in, and ends", f"{robot.tool_ramp:g} s" if robot.tool_ramp else "at once"
     if scene.tool.max_speed_m_s is not None:
         yield "largest tool speed", f"{scene.tool.max_speed_m_s:g} m/s"
     for stroke in plan.strokes:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,22 @@ from finite_differences import finite_difference
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.accuracy import Part, Shaking, assumed_in_words, parts_of, sway_along
+from cmbot.accuracy import (
+    Part,
+    Shaking,
+    accuracy_of,
+    assumed_in_words,
+    parts_of,
+    ramped,
+    sway_along,
+)
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
-from cmbot.planning import Plan, bending_arm, plan, verdict
+from cmbot.planning import Plan, bending_arm, plan, verdict, work_of
 from cmbot.robot import Kinematics
 from cmbot.scene import Placement, Tolerance, Uncertainty
 from cmbot.simulation import SimulationOptions, simulate
@@ -144,9 +153,15 @@ def test_the_sway_is_that_of_the_simulation(bent: Plan, arm: ElasticArm) -> None
         assert np.linalg.norm(tool, axis=1).max() == pytest.approx(expected, rel=0.1)
 
 
-def test_a_force_that_sets_in_at_once_swings_the_tool(arm: ElasticArm, q: FloatArray) -> None:
+def _ramped(arm: ElasticArm, ramp: float, t: float) -> Any:
+    share = np.polyval([6, -15, 10, 0, 0, 0], t / ramp)
+    return arm.pushed_by(float(share)).external_forces
+
+
+@pytest.mark.parametrize("ramp", [0.0, 0.25])
+def test_a_force_that_sets_in_swings_the_tool(arm: ElasticArm, q: FloatArray, ramp: float) -> None:
     """From the equilibrium without it, as integrated; were it there before, nothing would move."""
-    pushed = replace(arm, robot=replace(arm.robot, tool_force=(30.0, 0.0, -100.0)))
+    pushed = replace(arm, robot=replace(arm.robot, tool_force=(30.0, 0.0, -100.0), tool_ramp=ramp))
 
     def still(t: FloatArray, order: int) -> FloatArray:
         return np.tile(q[0] if order == 0 else 0 * q[0], (len(t), 1))
@@ -160,9 +175,13 @@ def test_a_force_that_sets_in_at_once_swings_the_tool(arm: ElasticArm, q: FloatA
         softer = replace(pushed, stiffness=factor * arm.stiffness)
         system = ElasticSystem.of(softer, damping)
         integrator = GeneralizedAlpha(system, step=2e-4, rho_inf=1.0, corrections=2)
-        start = Sag(softer.tool_off).equilibria(q[:1])[0][0]
+        start, rate = Sag(softer.tool_off).equilibria(q[:1])[0][0], np.zeros(len(damping))
         held = QuinticTrajectory.held(q[0], seconds)
-        moved = integrator.run([held], start, 0 * start)
+        if ramp:
+            held_before = QuinticTrajectory.held(q[0], ramp)
+            before = integrator.run([held_before], start, rate, None, [partial(_ramped, softer, ramp)])
+            start, rate = before.u[-1], before.v[-1]
+        moved = integrator.run([held], start, rate)
         points = softer.tool_points(moved.joints, moved.u, softer.model.createData())
         rest = softer.tool_points(q[:1], Sag(softer).equilibria(q[:1])[0], softer.model.createData())
         own = np.stack([np.interp(moved.t, sway.t, column) for column in tool.T], axis=1)
@@ -272,6 +291,25 @@ def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
         said = verdict(judged)
         assert (": kept (within it in " in said) is kept
         assert (": not kept (within it in " in said) is not kept
+
+
+def test_a_force_that_sets_in_slowly_is_what_would_help(bent: Plan) -> None:
+    """As the budget of that plan is; half the speed is no remedy for it."""
+    work = work_of(bent.robot, bent.trajectory, bent.task.path)
+    robot = replace(bent.robot, tool_force=(0.0, 0.0, -60.0))
+    at_once = bending_arm(bent.scene, robot)
+    assert at_once is not None
+    sag = Sag(at_once)
+    aimed = replace(work, commanded=lambda t: work.commanded(t) - sag.following(work.motion(t, 0)))
+    now, slow = (
+        accuracy_of(arm, [aimed], Uncertainty.none(), compensated=True)
+        for arm in (at_once, ramped(at_once, bent.trajectory.q[0]))
+    )
+    (told,) = now.remedies
+    seconds = 2.0 / arm_modes(at_once, bent.trajectory.q[0]).frequencies[0]
+    assert told.name == f"tool.process_ramp_s: {np.ceil(10 * seconds) / 10:g}"
+    assert told.within_mm == pytest.approx(slow.within_mm, rel=1e-6)
+    assert told.within_mm < 0.8 * now.within_mm
 
 
 def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:

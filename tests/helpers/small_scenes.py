@@ -65,7 +65,7 @@ def panda_scene(tool_path: dict[str, Any], **entries: Any) -> Scene:
     )
 
 
-def strokes_scene(**planner: Any) -> Scene:
+def strokes_scene(ramp: float = 0.0, **planner: Any) -> Scene:
     """Scene of two short strokes 0.1 m apart with a process force, sliding knots, and a return."""
     way = {"via_points": 12, "speed_profile": {"kind": "jerk_limited", "ramp": 0.4}}
     there = {"name": "there", "legs": [{"by": [0, -0.1, 0], "seconds": 3}], **way}
@@ -73,7 +73,7 @@ def strokes_scene(**planner: Any) -> Scene:
     back = {"name": "back", "from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}], **way}
     changes = {
         "name": "strokes",
-        "tool": {"process_force_n": [0, 0, -40]},
+        "tool": {"process_force_n": [0, 0, -40], "process_ramp_s": ramp},
         "tool_path": {"strokes": [there, back]},
         "return": "start",
         "planner": {"path_step_s": 0.02, "baseline": "paper", "compensate": False, **planner},

@@ -10,8 +10,9 @@ from forgeries import certified, changed_scene
 from hypothesis import given, settings, strategies as st
 from plan_folders import edit
 from small_motions import wild
-from small_scenes import request_of, short_scene, task_at
+from small_scenes import request_of, short_scene, strokes_scene, task_at
 
+from cmbot.accuracy import stroke_sway
 from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, PlanningError, SceneError
@@ -21,6 +22,8 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, certify, plan, precheck_scene
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, Tool
+from cmbot.simulation import PrescribedWork, SimulationOptions, simulate
+from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory import QuinticTrajectory
 
 FORCE = (20.0, 0.0, -60.0)
@@ -246,3 +249,55 @@ def test_a_force_that_pulls_the_tool_forward_is_told(force: list[float], number:
     found = precheck_scene(scene_with({"process_force_n": force})).warnings
     about = [each.got for each in found if each.key == "tool.process_force_n"]
     assert about == ["[0, 0, 30], which pulls the tool forward"] * number
+
+
+RAMP = 0.4
+
+
+@pytest.fixture(scope="module")
+def ramped_plan() -> Plan:
+    return plan(strokes_scene(RAMP))
+
+
+def test_the_arm_stands_beside_strokes_while_the_force_sets_in_and_ends(
+    ramped_plan: Plan, strokes_plan: Plan, tmp_path: Path
+) -> None:
+    """At both ends of free moves that join strokes, of the baseline's too; the strokes are as without."""
+    for job, plain in ((ramped_plan.job, strokes_plan.job), (ramped_plan.baseline, strokes_plan.baseline)):
+        assert job is not None and plain is not None
+        longer = [a.duration - b.duration for a, b in zip(job.segments, plain.segments, strict=True)]
+        stands = {"approach": RAMP, "free_1": 2 * RAMP, "return": RAMP}
+        expected = [stands.get(segment.name, 0.0) for segment in job.segments]
+        np.testing.assert_allclose(longer, expected, atol=1e-9)
+    for segment in ramped_plan.job.segments:
+        x, before, after = segment.trajectory, segment.name in ("free_1", "return"), segment.name == "free_1"
+        if segment.kind == "free":
+            t = np.linspace(0.0, RAMP, 9)
+            assert (x.evaluate(t) == x.q[0]).all() == before
+            assert (x.evaluate(x.duration - t) == x.q[-1]).all() == (after or segment.name == "approach")
+            assert segment.certificate.holds
+    save(ramped_plan, tmp_path)
+    again = load_plan(tmp_path, verify=True)
+    assert again.robot.tool_ramp == RAMP
+    np.testing.assert_array_equal(again.job.trajectory.t, ramped_plan.job.trajectory.t)
+
+
+def test_a_force_that_sets_in_slowly_is_simulated(ramped_plan: Plan, strokes_plan: Plan) -> None:
+    """Between strokes it goes from all to nothing and back; the tool sways as predicted, and by less."""
+    options = SimulationOptions(settle_s=0.0)
+    slow, fast = (simulate(each, options).planned for each in (ramped_plan, strokes_plan))
+    free = PrescribedWork.planned(ramped_plan).parts[1]
+    share = free.force_share(ramped_plan.robot, np.linspace(0.0, free.motion.duration, 1001))
+    assert share[[0, 500, -1]] == pytest.approx([1.0, 0.0, 1.0], abs=1e-9)
+    # The sag has no jumps: between two outputs the share of the force changes by little.
+    sag = np.linalg.norm(np.diff(slow.static, axis=0), axis=1).max()
+    assert sag < 0.1 * np.linalg.norm(np.diff(fast.static, axis=0), axis=1).max()
+    # The second stroke inherits what the free move leaves.
+    most = list[float]()
+    for tracking, made in ((slow, ramped_plan), (fast, strokes_plan)):
+        first = made.job.strokes[0]
+        sway = stroke_sway(elastic_arm_of(made, options), first.trajectory, 0.0)
+        most.append(float(np.linalg.norm(sway.tool[1, sway.t <= first.duration], axis=1).max()))
+        simulated = np.linalg.norm(tracking.dynamic[tracking.t <= first.duration], axis=1).max()
+        assert simulated == pytest.approx(most[-1], rel=0.02)
+    assert most[0] < 0.5 * most[1]

@@ -217,6 +217,7 @@ WRONG = [
     # key, value, part of got, part of expected; then the key in the error, where it is another one
     ("format", "cmbot-scene/3", "'cmbot-scene/3'", "'cmbot-scene/2'"),
     ("format", "cmbot-scene/1", "'cmbot-scene/1'", "tools/scene_2.py rewrites it"),
+    ("tool", {"process_ramp_s": 0.5}, "0.5", "0 without tool.process_force_n", "tool.process_ramp_s"),
     ("tool", {"process_force_n": [0, 0]}, "[0, 0]", "a list of 3 items", "tool.process_force_n"),
     ("tool", {"process_force_n": [0, 0, 2e4]}, "20000.0", "at most 10000", "tool.process_force_n[2]"),
     ("tool", {"max_speed_m_s": 0}, "0", "at least 0.0001", "tool.max_speed_m_s"),

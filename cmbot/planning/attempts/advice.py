@@ -80,11 +80,16 @@ def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
 def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
     """Return the request with an option eased that has the bound which could not be kept.
 
-    A smaller safety margin, or a tool that may leave its path further. None where it is another bound, or one
-    that would have to be eased by far.
+    A smaller safety margin, a tool that may leave its path further, or a process force that sets in slowly.
+    None where it is another bound, or one that would have to be eased by far.
     """
     options = request.cell.options
     match failure:
+        case Uncertified(limit=Limit.SWAY):
+            # What a force adds that sets in at once no motion changes.
+            robot = request.cell.robot
+            is_slow = robot.tool_ramp or not robot.pushed
+            return None if is_slow else replace(request, cell=request.cell.ramped(request.first))
         case NoTrajectory(broken=broken) | Uncertified(broken=broken):
             pass
         case NoWay(pair=(_, _)):
@@ -112,6 +117,8 @@ def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
         old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
             words.append(_changed(f"planner.{option}", new, old, 4))
+    if after.cell.robot.tool_ramp != before.cell.robot.tool_ramp:
+        words.append(f"tool.process_ramp_s {after.cell.robot.tool_ramp:g}")
     if after.task.kept != before.task.kept:
         words.append(f"{before.stroke.key}.keep {after.task.kept} instead of {before.task.kept}")
     if (after.task.path.seconds > before.task.path.seconds).any():

@@ -158,15 +158,16 @@ class Attempt:
     @property
     def key(self) -> Hashable:
         """What tells it from other attempts at the same stroke."""
-        options, guess = self.request.cell.options, self.guess
+        cell, guess = self.request.cell, self.guess
+        asked = cell.options, cell.robot.tool_ramp
         if not isinstance(guess, InitialGuess):
-            return options, self.request.times.tobytes()
+            return *asked, self.request.times.tobytes()
         form = guess.problem.parametrization
         chart = None if guess.search is None else guess.search.first_chart.q
         arrays: tuple[FloatArray | None, ...] = (form.space.t, form.via_points, chart, guess.way)
         numbers = tuple(None if array is None else array.tobytes() for array in arrays)
         kept = self.request.spare_clearance, self.request.tool_share
-        return options, guess.pinned, kept, numbers
+        return *asked, guess.pinned, kept, numbers
 
     @property
     def refused(self) -> Failure | None:

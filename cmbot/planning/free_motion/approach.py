@@ -102,6 +102,8 @@ def _move(
         most_growths=_MAX_START_GROWTHS if dispensable else MOST_GROWTHS,
         first=along_chart,
         known=known,
+        after_stroke=request.number > 0,
+        before_stroke=True,
     )
 
 

@@ -73,6 +73,9 @@ class FreeMove:
         A `Way` that is tried before the straight one.
     known : callable
         A `Way` that is taken, shortened, where the straight one is not free.
+    after_stroke, before_stroke : bool
+        Whether a stroke ends where it starts, and begins where it ends: there the arm stands while the
+        process force ends, and sets in.
     """
 
     name: str
@@ -85,6 +88,8 @@ class FreeMove:
     most_growths: int = MOST_GROWTHS
     first: Way = _nothing
     known: Way = _nothing
+    after_stroke: bool = False
+    before_stroke: bool = False
 
 
 def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
@@ -103,6 +108,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     PathNotFound
         When nothing leads there.
     """
+    ramp = request.cell.robot.tool_ramp if request.cell.robot.pushed else 0.0
     request = request.tool_off
     space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
@@ -111,7 +117,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     path = _least(request, space, _ways(request, space, move, given), allowed)
     held = request.task.held_at_start()
     for halving in range(_MAX_SPACING_HALVINGS):
-        trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
+        trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move, ramp)
         certificate = certify_move(
             request.cell.robot,
             held,
@@ -260,9 +266,12 @@ def _ways(
 
 
 def _timed(
-    request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, begin: float
+    request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, move: FreeMove, ramp: float
 ) -> QuinticTrajectory:
-    """Put a C3 spline from rest to rest through a broken line, as fast as limits, modes, objective allow."""
+    """Put a C3 spline from rest to rest through a broken line, as fast as limits, modes, objective allow.
+
+    Beside strokes the arm stands for the process force's `ramp`, s.
+    """
     lengths = request.cell.robot.metric.lengths(np.diff(path, axis=0))
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
@@ -283,22 +292,28 @@ def _timed(
     sampled = StateSamples.even(trial, _TORQUE_SAMPLES_PER_SEGMENT)
     at_rest = _asked(request, StateSamples.at_rest(sampled.t, sampled.q), allowed)
     for slower in _SLOWER:
-        timed = _slowed(trial, slower * seconds, begin)
+        timed = _slowed(trial, slower * seconds, move.begin, ramp * move.after_stroke)
         if _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed) <= (
             1 + _SAME_OBJECTIVE_SHARE
         ) * max(at_rest, 1.0):
             break
-    return timed
+    end = _exactly(move.begin, timed.t[-1] + ramp * move.before_stroke)
+    return timed.standing(0.0, float(end))
 
 
-def _slowed(trial: QuinticTrajectory, seconds: float, begin: float) -> QuinticTrajectory:
-    """The same motion in so many seconds, at times that the job's clock holds exactly."""
-    if begin == 0.0:
+def _slowed(trial: QuinticTrajectory, seconds: float, begin: float, after: float) -> QuinticTrajectory:
+    """The same motion in so many seconds, `after` others, at times that the job's clock holds exactly."""
+    if begin == after == 0.0:
         t = trial.t * seconds
         return QuinticTrajectory(t=t, q=trial.q, v=trial.v / seconds, a=trial.a / seconds**2)
     # Rounded times are other times: a spline through these has no jumps.
-    space = SplineSpace((begin + trial.t * seconds) - begin)
+    space = SplineSpace(_exactly(begin, after + trial.t * seconds))
     return space.trajectory(space.least_jerk(trial.q))
+
+
+def _exactly(begin: float, t: FloatArray) -> FloatArray:
+    """Times that are the same once they are added to `begin`, and taken from it."""
+    return (begin + t) - begin
 
 
 def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> float:

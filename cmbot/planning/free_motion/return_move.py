@@ -47,6 +47,7 @@ def plan_return(request: StrokeRequest, start: FloatArray, *, begin: float, allo
         end_name=f"the {'start' if np.array_equal(end, request.state.posture) else 'stow'} posture",
         begin=begin,
         allowed=allowed,
+        after_stroke=True,
     )
     try:
         return plan_move(request, move)

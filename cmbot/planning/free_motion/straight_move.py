@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
@@ -9,7 +11,7 @@ from cmbot.robot import JointLimits
 
 
 def quickest_straight(
-    limits: JointLimits, start: FloatArray, end: FloatArray, step: float
+    limits: JointLimits, start: FloatArray, end: FloatArray, step: float, stands: Sequence[float] = (0.0, 0.0)
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Return the quickest motion from rest to rest on the straight line between two postures.
 
@@ -23,6 +25,8 @@ def quickest_straight(
         Two different postures.
     step : float, s
         Between samples; the last one may be shorter.
+    stands : (2,), s
+        How long the arm stands before, and after it.
 
     Returns
     -------
@@ -41,6 +45,10 @@ def quickest_straight(
     s = _integrated(t, durations, jerks)
     # Rounding of the sums.
     s[0] /= s[0, -1]
+    before, after = (np.linspace(0.0, x, int(np.ceil(x / step - 1e-9)) + 1) for x in stands)
+    t = np.concatenate([before[:-1], before[-1] + t, before[-1] + t[-1] + after[1:]])
+    s = np.pad(s, ((0, 0), (len(before) - 1, len(after) - 1)))
+    s[0, len(t) - len(after) + 1 :] = 1.0
     q, v, a, j = (x[:, None] * way for x in s)
     return t, (start + q, v, a, j)
 

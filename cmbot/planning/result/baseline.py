@@ -14,7 +14,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.job import RETURN, BaselineSegment, Timeline, free_move_name, job_metrics
+from cmbot.planning.job import APPROACH, RETURN, BaselineSegment, Timeline, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
@@ -74,12 +74,13 @@ def baseline_of(
     if not each:
         return None
     segments, at, begin = list[BaselineSegment](), start, 0.0
-    off = robot.tool_off
+    off, ramp = robot.tool_off, robot.tool_ramp * robot.pushed
 
     def move(name: str, goal: FloatArray, task: ToolTask) -> None:
         if np.abs(goal - at).max() <= SAME_POSTURE:
             return
-        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP)
+        stands = [ramp * (name != beside) for beside in (APPROACH, RETURN)]
+        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP, stands)
         samples = measure(off, task.held_at_start(), clearances, t, motion)
         add(name, "free", samples, figures(off, samples))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.accuracy import stroke_sway
+from cmbot.accuracy import ramped, stroke_sway
 from cmbot.collision import Clearances, Obstacle, extent_of
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, ModelError, SceneError
@@ -83,6 +83,13 @@ class Workcell(ShortRepr):
     def with_options(self, **changes: Any) -> Workcell:
         """Return the workcell with other options."""
         return replace(self, options=replace(self.options, **changes))
+
+    def ramped(self, q: FloatArray) -> Workcell:
+        """Return the workcell with a process force that sets in slowly in posture `q` (n,), see `ramped`."""
+        if self.arm is None:
+            return self
+        arm = ramped(self.arm, q)
+        return replace(self, arm=arm, robot=replace(self.robot, tool_ramp=arm.robot.tool_ramp))
 
     @cached_property
     def tool_off(self) -> Workcell:
@@ -354,8 +361,8 @@ def robot_of(scene: Scene) -> Robot:
     robot = robot if file.joints == "elastic" else robot.with_rigid_joints
     robot = with_identified_stiffness(robot, scene)
     fixed = None if scene.tool.fixed is None else pin.SE3(np.array(scene.tool.fixed.matrix))
-    force = scene.tool.process_force_n
-    robot = replace(robot, tool_force=force, fixed_tool=fixed, feet=_feet_of(scene, robot))
+    force, ramp = scene.tool.process_force_n, scene.tool.process_ramp_s
+    robot = replace(robot, tool_force=force, tool_ramp=ramp, fixed_tool=fixed, feet=_feet_of(scene, robot))
     if len(robot.feet) < 2 or robot.leg_compliance is None:
         return robot
     # How far the legs give way says what of the wrench each foot bears.

@@ -171,10 +171,10 @@ def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
     ]
 
 
-def in_auto(kind: str = "quiet", **changes: Any) -> Plan:
+def in_auto(kind: str = "quiet", tool: dict[str, Any] | None = None, **changes: Any) -> Plan:
     changes |= {"speed_profile": {"kind": kind}}
     path = {"legs": [{"by": [0, 0.1, 0]}], "seconds": "auto", "via_points": 21, **changes}
-    return planned(load_scene({**SOFT_MAST, "tool_path": path}))
+    return planned(load_scene({**SOFT_MAST, "tool": tool or {}, "tool_path": path}))
 
 
 def test_the_shortest_time_and_the_shortest_that_is_quiet_are_told() -> None:
@@ -215,6 +215,17 @@ def test_a_bound_of_the_sway_is_kept_in_a_longer_time(tmp_path: Path) -> None:
         in_auto(max_sway_mm=1e-4)
     assert refused.value.limit is Limit.SWAY
     assert refused.value.value > refused.value.bound == pytest.approx(1e-7)
+
+
+def test_a_force_that_sets_in_at_once_is_advised_to_set_in_slowly() -> None:
+    """No time makes the tool sway less by it: what would do is planned before it is told."""
+    tool, most = {"process_force_n": [0, 0, -80]}, 0.3
+    with pytest.raises(LimitViolation, match="simulated sway of the tool") as refused:
+        in_auto(max_sway_mm=most, tool=tool)
+    (advised,) = re.findall(r"tool.process_ramp_s ([\d.]+) would do", str(refused.value))
+    slow = in_auto(max_sway_mm=most, tool={**tool, "process_ramp_s": float(advised)})
+    assert slow.certificate.holds
+    assert slow.sway is not None and slow.sway.sway_mm <= most
 
 
 def test_a_ur_is_near_copp_too() -> None:
