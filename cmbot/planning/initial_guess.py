@@ -72,6 +72,7 @@ class InitialGuess:
     way: FloatArray | None = (
         None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
     )
+    keeps: bool = False  # the motion itself, moved onto the path, not what is optimised from it
 
     def asked(self, request: StrokeRequest) -> InitialGuess:
         """Return the same splines for a problem of other bounds."""
@@ -278,6 +279,7 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
 def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGuess:
     """Take via-points from the postures of an earlier motion along the stroke, projected onto its task now.
 
+    Where the path has the same via-times the splines are those of that motion, moved: it `keeps` it.
     Without charts nothing is known of the least peak: the largest value at rest in these postures stands for
     it, and what is optimised need not undercut that. The first one stays where the motion began in the
     posture in which the work starts now, or has to. Fixed knots are those of the path now.
@@ -290,7 +292,8 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
     options = request.cell.options
     if options.knots == "fixed":
         return fixed_guess(request)
-    q = earlier.evaluate(request.times * (earlier.duration / request.times[-1]))
+    rate = earlier.duration / request.times[-1]
+    q, v, a = (rate**order * earlier.evaluate(request.times * rate, order) for order in range(3))
     begins_there = float(np.abs(q[0] - request.first).max()) <= _POSTURE_TOLERANCE
     pinned = options.start == "pinned" or begins_there
     placed = _placed(request, q)
@@ -298,8 +301,11 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
         placed[0] = request.first
     each = request.cell.objective.at_rest(request.cell.postures.at(placed))
     bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
-    form = parametrization_through(request, placed, sliding=True, pinned=pinned)
-    return InitialGuess(problem=TorqueProblem(request, form, bound.value), pinned=pinned, lower_bound=bound)
+    keeps = len(earlier.t) == len(request.times) and np.allclose(earlier.t, request.times * rate, atol=1e-9)
+    near = QuinticTrajectory(t=request.times, q=q, v=v, a=a) if keeps else None
+    form = parametrization_through(request, placed, sliding=True, pinned=pinned, near=near)
+    problem = TorqueProblem(request, form, bound.value)
+    return InitialGuess(problem=problem, pinned=pinned, lower_bound=bound, keeps=keeps)
 
 
 def problem_near(

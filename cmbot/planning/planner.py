@@ -139,9 +139,9 @@ def replan(
 ) -> Plan:
     """Plan a scene from the postures of an earlier plan, where frames moved or loads changed a little.
 
-    The earlier postures are put onto the tool path as it is now, optimised once, and certified as any plan.
-    The self-motion is not charted, so nothing is known of the least peak: `Plan.lower_bound`,
-    `Plan.torque_floor` and `Plan.choice` are None, and the peak may be larger than that of `cmbot.plan`.
+    The earlier motion is put onto the tool path as it is now, and certified as any plan; where it is not
+    certified it is optimised once. The self-motion is not charted, so nothing is known of the least peak:
+    `Plan.lower_bound`, `Plan.torque_floor` and `Plan.choice` are None, and it may be larger than by `plan`.
     The order, the times and the laws that the earlier plan found are kept; else the scene's options count.
 
     Where no certified plan comes of it, as behind a new obstacle, the scene is planned as `cmbot.plan` does,

@@ -48,6 +48,9 @@ def test_a_moved_frame_is_followed_and_certified(earlier: Plan, tmp_path: Path) 
     plan = cmbot.replan(earlier, scene, progress=False)
     assert plan.certificate.holds and plan.job.certificate.holds
     assert "Planned near an earlier plan" in plan.fallbacks[0]
+    # The motion is the earlier one, moved: nothing is optimised, and the tool is as quiet.
+    assert plan.passes == () and plan.runs == 1
+    assert plan.sway.swing_mm < 1.2 * earlier.sway.swing_mm
     # Nothing is said of a least peak that nothing was sought of.
     assert (plan.lower_bound, plan.choice, plan.torque_floor, plan.torque_floor_kind) == (None,) * 4
     folder = cmbot.save(plan, tmp_path / "plan")
@@ -74,6 +77,14 @@ def test_the_same_scene_is_planned_as_well_again(earlier: Plan) -> None:
     peak = plan.figures.peak_guardrail_torque
     assert peak <= earlier.figures.peak_guardrail_torque * (1 + earlier.options.least_peak_tolerance)
     assert peak >= earlier.lower_bound.value * (1 - 1e-3)
+
+
+def test_what_is_not_certified_as_it_is_moved_is_optimised_from_there(earlier: Plan) -> None:
+    scene = triangle(0.02, 1.0).with_options(max_tool_deviation_m=1.5e-4)
+    plan = cmbot.replan(earlier, scene, progress=False)
+    assert "Planned near an earlier plan" in plan.fallbacks[0]
+    assert plan.runs == 2 and plan.passes
+    assert plan.certificate.holds and plan.figures.max_tool_deviation <= 1.5e-4
 
 
 def test_another_payload_and_several_strokes(strokes_plan: Plan) -> None:

@@ -147,7 +147,7 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
     compensation, problem = None, guess.problem
     try:
         if cell.sag is None:
-            optimised = optimise(problem, each_pass)
+            optimised = Optimised.start(problem) if guess.keeps else optimise(problem, each_pass)
         else:
             optimised, compensation, problem = optimise_bent(request, guess, cell.sag, each_pass)
     except OptimisationFailed as failure:
@@ -155,7 +155,13 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
         if leaps is None:
             raise
         raise leaps from failure
-    if cell.arm is not None and cell.options.knots == "sliding" and cell.options.quiet_modes:
+    # What is kept was brought to rest before.
+    if (
+        not guess.keeps
+        and cell.arm is not None
+        and cell.options.knots == "sliding"
+        and cell.options.quiet_modes
+    ):
         optimised = suppress_vibration(cell.arm, problem, optimised)
     return optimised, compensation
 

@@ -54,7 +54,7 @@ def plan_stroke(
     ----------
     request : StrokeRequest
     earlier : QuinticTrajectory, optional
-        A motion along the stroke where its frame was before: planned once, from its postures.
+        A motion along the stroke where its frame was before: moved onto the path, else optimised from there.
     stays : bool
         It starts where the arm is before, with sliding knots.
     """
@@ -66,9 +66,17 @@ def plan_stroke(
         request = begun
     if earlier is not None:
         near = attempted(request, lambda: guess_near(request, earlier))
-        attempt = Attempt(request=request, guess=near, is_first=False)
-        trial = agenda_of(request, certified_motion, (), Budget(runs=1)).search(attempt)
-        return PlannedStroke(trial=trial, runs=1)
+        guesses = [near]
+        if isinstance(near, InitialGuess) and near.keeps:
+            # Where what is kept is not certified it is optimised from there.
+            guesses.append(replace(near, keeps=False))
+        budget = Budget(runs=len(guesses))
+        for guess in guesses:
+            attempt = Attempt(request=request, guess=guess, is_first=False)
+            trial = agenda_of(request, certified_motion, (), budget).search(attempt)
+            if isinstance(trial.outcome, Solved):
+                break
+        return PlannedStroke(trial=trial, runs=budget.used)
     budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
     request = with_enough_via_points(request)
     first = Attempt.of(request)

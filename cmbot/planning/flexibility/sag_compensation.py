@@ -81,7 +81,8 @@ def optimise_bent(
         When there is no trajectory, the sag along it is not what it was taken for, or the arm topples.
     """
     try:
-        return _Bending(request, guess, sag, progress).solved()
+        bending = _Bending(request, guess, sag, progress)
+        return bending.kept() if guess.keeps else bending.solved()
     except TooSoftError as error:
         raise OptimisationFailed(
             f"the arm on its base is too soft: {error.got} is on the way",
@@ -114,11 +115,17 @@ class _Bending:
         self._least = guess.lower_bound.value
         for _ in range(_STEPS_FROM_GUESS):
             self._bent = self._linearized(near)
-            self._problem = self._placed(near.q)
+            self._problem = self._placed(near.q, near=near if guess.keeps else None)
             near = self._problem.parametrization.trajectory
             # What bending changes at rest in the postures of the guess it changes of the least value, too.
             shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
             self._least = float(shifted.max()) * (1 + _PEAK_TOLERANCE)
+
+    def kept(self) -> tuple[Optimised, Compensation, TorqueProblem]:
+        """The motion of the guess, put onto the task: what of the sag it misses the certificate judges."""
+        optimised = Optimised.start(self._problem)
+        after, change = self._changed(optimised.trajectory)
+        return optimised, self._done(optimised.trajectory, after.sag, change), self._problem
 
     def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
         """Solve and linearize until the sag of the solution is what it was taken for."""
@@ -127,8 +134,7 @@ class _Bending:
             corrected = None if optimised is None else self._corrected(optimised)
             optimised = corrected or optimise(self._problem, self._passed)
             near = optimised.trajectory
-            after = self._linearized(near)
-            change = float(np.linalg.norm(after.sag - self._bent.at(self._times, after.q).sag, axis=1).max())
+            after, change = self._changed(near)
             if change < self._settled:
                 done = self._done(near, after.sag, change)
                 return replace(optimised, passes=tuple(self._passes)), done, self._problem
@@ -146,6 +152,11 @@ class _Bending:
         if worst.value > self._request.cell.options.constraint_tolerance:
             return None
         return replace(optimised, trajectory=form.trajectory, via_points=form.via_points)
+
+    def _changed(self, near: QuinticTrajectory) -> tuple[BentTool, float]:
+        """The bent tool near a trajectory, and by how much its sag is not what it was taken for, m."""
+        after = self._linearized(near)
+        return after, float(np.linalg.norm(after.sag - self._bent.at(self._times, after.q).sag, axis=1).max())
 
     def _linearized(self, near: QuinticTrajectory) -> BentTool:
         """The bent tool near a trajectory."""

@@ -67,6 +67,12 @@ class Optimised:
     failure: OptimisationFailed | None = None
     sway: tuple[float, float] | None = None
 
+    @classmethod
+    def start(cls, problem: TorqueProblem) -> Optimised:
+        """Return the trajectory that a problem starts from, as it is."""
+        form = problem.parametrization
+        return cls(trajectory=form.trajectory, via_points=form.via_points, passes=())
+
 
 def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
     """Solve the torque problem.
