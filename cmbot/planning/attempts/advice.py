@@ -117,8 +117,9 @@ def changed_in_words(before: StrokeRequest, after: StrokeRequest) -> str:
         old, new = (getattr(request.cell.options, option) for request in (before, after))
         if new != old:
             words.append(_changed(f"planner.{option}", new, old, 4))
-    if after.cell.robot.tool_ramp != before.cell.robot.tool_ramp:
-        words.append(f"tool.process_ramp_s {after.cell.robot.tool_ramp:g}")
+    old, new = (request.cell.robot.tool_ramp for request in (before, after))
+    if new != old:
+        words.append(_changed("tool.process_ramp_s", new, old, 3))
     if after.task.kept != before.task.kept:
         words.append(f"{before.stroke.key}.keep {after.task.kept} instead of {before.task.kept}")
     if (after.task.path.seconds > before.task.path.seconds).any():

@@ -222,7 +222,7 @@ def test_a_force_that_sets_in_at_once_is_advised_to_set_in_slowly() -> None:
     tool, most = {"process_force_n": [0, 0, -80]}, 0.3
     with pytest.raises(LimitViolation, match="simulated sway of the tool") as refused:
         in_auto(max_sway_mm=most, tool=tool)
-    (advised,) = re.findall(r"tool.process_ramp_s ([\d.]+) would do", str(refused.value))
+    (advised,) = re.findall(r"tool.process_ramp_s ([\d.]+) instead of 0 would do", str(refused.value))
     slow = in_auto(max_sway_mm=most, tool={**tool, "process_ramp_s": float(advised)})
     assert slow.certificate.holds
     assert slow.sway is not None and slow.sway.sway_mm <= most
