@@ -31,7 +31,6 @@ from elastic_in_mujoco import Twin
 HEADINGS = ("scene", "told, mm", "Monte Carlo, mm", "ratio", "sway, mm", "by MuJoCo, mm")
 # Between postures at which statics are computed, s; of MuJoCo's steps and of the points that are compared, s.
 BETWEEN, STEP, EVERY = 0.25, 2e-4, 50
-LEAST_CHORD = 1e-4
 FACTORS = np.linspace(-1.0, 1.0, 5)
 """At which stiffness MuJoCo integrates, in units of the stated share."""
 MAST = [2.5e5, 2.5e5, 1e8, 2.5e5, 2.5e5, 1.5e5]
@@ -71,7 +70,7 @@ def scenes() -> Iterator[tuple[str, Scene]]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MonteCarlo:
-    """Distances (D,), m, of draws, and the largest sway at the stated stiffness, m."""
+    """Distances (D,), m, of draws, and the largest sway at any stiffness, m."""
 
     distances: FloatArray
     sway: float
@@ -82,8 +81,13 @@ def bent_tool(arm: ElasticArm, q: FloatArray) -> FloatArray:
     return np.asarray(Kinematics(arm.robot).tool_poses(q)[0] + Sag(arm).at(q).tool)
 
 
-def swayed(plan: Plan, arm: ElasticArm, factor: float, after_s: float = 0.0) -> FloatArray:
-    """What MuJoCo adds (N, 3), m, to the bent arm at rest during the planned motion, and so long after it."""
+def swayed(
+    plan: Plan, arm: ElasticArm, factor: float, after_s: float = 0.0, *, sets_in: bool = False
+) -> FloatArray:
+    """What MuJoCo adds (N, 3), m, to the bent arm at rest during the planned motion, and so long after it.
+
+    A process force is there from the start, or sets in at once then.
+    """
     motion, soft = plan.trajectory, arm.softened(factor)
 
     def states(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -93,7 +97,7 @@ def swayed(plan: Plan, arm: ElasticArm, factor: float, after_s: float = 0.0) -> 
 
     steps = int((motion.duration + after_s) / STEP) // EVERY * EVERY
     q = states(STEP * EVERY * np.arange(steps // EVERY + 1))[0]
-    start = Sag(soft).at(q[:1]).u[0]
+    start = Sag(soft.tool_off if sets_in else soft).at(q[:1]).u[0]
     damping = arm_modes(soft, q[len(q) // 2]).damping(arm.robot.damping_ratio)
     twin = Twin(soft, timestep=STEP)
     return np.asarray(twin.drive(states, start, steps, EVERY, damping=damping) - bent_tool(soft, q))
@@ -105,17 +109,14 @@ def monte_carlo(plan: Plan, draws: int, seed: int) -> MonteCarlo:
     if arm is None:
         sys.exit(f"{plan.scene.name}: nothing bends")
     rng, path, motion = np.random.default_rng(seed), plan.job.strokes[0].task.path, plan.trajectory
-    sways = np.array([swayed(plan, arm, 1 + unknown.stiffness_share * f) for f in FACTORS])
+    sways = np.array([swayed(plan, arm, 1 + unknown.stiffness_share * f, sets_in=True) for f in FACTORS])
     fine = STEP * EVERY * np.arange(sways.shape[1])
     t = np.linspace(0.0, path.duration, int(np.ceil(path.duration / BETWEEN)) + 1)
     # A compensated plan's joints aim beside the path by the sag that is predicted.
     goal = path.position(t) if plan.compensation is None else bent_tool(arm, motion.evaluate(t))
     planned = np.zeros_like(goal) if plan.compensation else path.leg_offset(t, motion_tool(plan, t))
-    # Where the path leads from a little before to a little after; where it turns back, nowhere.
-    before, after = (np.clip(fine + shift, 0.0, path.duration) for shift in (-BETWEEN, BETWEEN))
-    chord = path.position(after) - path.position(before)
-    length = np.linalg.norm(chord, axis=1, keepdims=True)
-    along = np.where(length > LEAST_CHORD, chord / np.maximum(length, LEAST_CHORD), 0.0)
+    # At rest, too, where a chord would have no direction.
+    along = path.leg_directions(fine)
     reference = motion_tool(plan, t) if plan.compensation is None else goal
     found = np.empty(draws)
     for k in range(draws):
@@ -127,9 +128,8 @@ def monte_carlo(plan: Plan, draws: int, seed: int) -> MonteCarlo:
         at += (1 - part) * sways[number] + part * sways[number + 1]
         across = at - np.sum(at * along, axis=1, keepdims=True) * along
         found[k] = np.linalg.norm(across, axis=1).max()
-    stated = sways[len(FACTORS) // 2]
-    stated = stated - np.sum(stated * along, axis=1, keepdims=True) * along
-    return MonteCarlo(distances=found, sway=float(np.linalg.norm(stated, axis=1).max()))
+    sways -= np.sum(sways * along, axis=2, keepdims=True) * along
+    return MonteCarlo(distances=found, sway=float(np.linalg.norm(sways, axis=2).max()))
 
 
 def motion_tool(plan: Plan, t: FloatArray) -> FloatArray:
