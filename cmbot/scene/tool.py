@@ -28,8 +28,8 @@ class Tool(CheckedFields):
         Force that acts on the tool, at the tool point, along the tool's axes, N. The recoil of a nozzle and
         the steel against which a tool is pressed act along the negative z axis: ``[0, 0, -20]``.
     process_ramp_s : float
-        Time in which the process force sets in before a stroke, and ends after it, s: smoothly, while the arm
-        stands at the end of its free move. 0: at once. Two periods of the slowest mode leave hardly any sway.
+        Time in which it sets in before a stroke, and ends after it, s, while the arm stands. 0: at once. Two
+        periods of the slowest mode leave hardly any sway.
     max_speed_m_s : float or None
         Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
         5 % between via-points. Left out: any speed.
