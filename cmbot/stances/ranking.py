@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import ceil
 from typing import Literal
 
 import numpy as np
@@ -79,6 +80,9 @@ class StanceRanking(ShortRepr):
         What others than the own stance may sag, where that was not asked for: the scene's tolerance where it
         has one and its sag is not compensated, else what the own stance sags, at least 5 mm. None where any
         sag is allowed, nothing bends or the sag is ranked.
+    feet_asked : str
+        What the job asks of feet, where none was planned and stances are left out in which they are too weak:
+        a sentence without its full stop; else empty.
     """
 
     scene: Scene
@@ -87,6 +91,7 @@ class StanceRanking(ShortRepr):
     plans: int = StandOptions.plans
     ended_by: Literal["", "interrupt", "time"] = ""
     sag_limit: SagLimit | None = None
+    feet_asked: str = ""
 
     @property
     def unit(self) -> str:
@@ -142,8 +147,9 @@ class StanceRanking(ShortRepr):
             some = [
                 each.rejection for each in self.ranked if each.rejection and each.rejection.cause == cause
             ]
-            if some[0].would_do:
-                yield _remedy(min(some, key=lambda each: each.excess), self.scene)
+            if some[0].would_do and some[0].weakest != FEET:
+                yield _remedy(min(some, key=lambda each: each.excess))
+        yield from filter(None, [self.feet_asked])
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -170,7 +176,7 @@ class StanceRanking(ShortRepr):
         if self.best is not None and first.bound >= self.best.value:
             return f"{late}; by their bounds (estimates) none of them is better than the best one"
         return (
-            f"{late}, first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
+            f"{late}; first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
             "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
         )
 
@@ -190,14 +196,10 @@ class StanceRanking(ShortRepr):
         return sum(each.status == status for each in self.ranked)
 
 
-def _remedy(why: Rejection, scene: Scene) -> str:
-    """What would take away a reason, rounded up, so that it does; of magnets their adhesion, too."""
-    times, holds = why.excess + 0.005, scene.guardrail.hold or ()
-    magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.weakest == FEET else []
-    pull = f" (magnets of {times * max(magnets) / 1e3:.1f} kN)" if magnets else ""
-    alone = " for that alone" if pull else ""
+def _remedy(why: Rejection) -> str:
+    """What would take away a reason, rounded up, so that it does."""
     return (
-        f"where {why.cause}, {times:.2f} times what it bears{pull} would do{alone}, or another {why.would_do}"
+        f"where {why.cause}, {why.excess + 0.005:.2f} times what it bears would do, or another {why.would_do}"
     )
 
 
@@ -337,7 +339,10 @@ class _Stand:
             if not np.isfinite(bound[number]).any():
                 within = np.asarray(found.within_reach[each].all(axis=0))
                 tasks = [self._tasks[k] for k in each]
-                raise _unreached(self._scene, number, tasks, self._candidates, within, self._unheld, limit)
+                asked = self._feet_asked(found, each)
+                raise _unreached(
+                    self._scene, number, tasks, self._candidates, within, self._unheld, limit, asked
+                )
         done, excluded = dict[frozenset[int], StanceRanking](), set[frozenset[int]]()
         while groups := fewest_groups(bound, excluded):
             for number, group in enumerate(groups, start=1):
@@ -412,13 +417,38 @@ class _Stand:
         if not scene.on_guardrail:
             times = np.array([times_of(task) for task in self._tasks])
             results = [*judge.proven(results, found, strokes, times, self._ending, progress)]
+        missed = self._options.plans and all(each.plan is None for each in results)
         return StanceRanking(
             scene=part,
             objective=self._objective,
             ranked=tuple(sorted(results, key=lambda each: each.order)),
+            feet_asked=self._feet_asked(found, strokes) if missed else "",
             plans=self._options.plans,
             ended_by=self._ending.by or ("time" if self._ending.screening_cut else ""),
             sag_limit=self._limit,
+        )
+
+    def _feet_asked(self, found: Screening, strokes: Sequence[int]) -> str:
+        """What strokes ask of feet where none bear them, as `StanceRanking.feet_asked` has it."""
+        screener, unbound = self._screener, np.isinf(found.bound[strokes]).any(axis=0)
+        weak = np.asarray(found.within_reach[strokes].all(axis=0) & unbound)
+        weak[[k for k, why in self._unheld.items() if why.weakest != FEET]] = False
+        if not (weak.any() and screener.loads.bounded):
+            return ""
+        numbers = np.flatnonzero(weak).tolist()
+        least, best = screener.least_use([self._tasks[k] for k in strokes], numbers)
+        if not 1 < least < np.inf:
+            return ""
+        foot, times = (
+            min(screener.loads.feet(best), key=lambda foot: foot.most_adhesion),
+            ceil(100 * least) / 100,
+        )
+        pull, most = times * (foot.adhesion or 0.0), foot.most_adhesion
+        beyond = f", where none pulls more than {most / 1e3:.1f} kN" * (pull > most)
+        magnets = f" (magnets of {pull / 1e3:.1f} kN{beyond})" * (pull > 0)
+        return (
+            f"the whole job asks at least {times:.2f} times what feet bear{magnets} in the best of "
+            f"{counted(len(numbers), 'stance')} in which they are too weak (estimate, without obstacles)"
         )
 
     def _screened(self, k: int, found: Screening, strokes: Sequence[int]) -> StanceResult:
@@ -465,6 +495,7 @@ def _unreached(
     within: BoolArray,
     unheld: Mapping[int, Rejection],
     limit: SagLimit | None,
+    feet_asked: str,
 ) -> PlanningError:
     """The error of a stroke that no stance reaches, with what `cmbot check` says of it in the nearest one."""
     points = np.vstack([task.path.outline() for task in tasks])
@@ -479,13 +510,15 @@ def _unreached(
     kinds |= {f"in which {cause}": number for cause, number in causes.most_common()}
     counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
     error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
+    if feet_asked:
+        error.add_hint(feet_asked)
     checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None))
     for warning in checked.warnings:
         if warning.key.startswith("tool_path"):
             error.add_hint(f"in the nearest one, {nearest.place}, {warning.got}")
             break
-    if causes:
-        error.add_hint(_remedy(min(unheld.values(), key=lambda each: each.excess), scene))
+    if joints := [why for why in unheld.values() if why.weakest != FEET]:
+        error.add_hint(_remedy(min(joints, key=lambda each: each.excess)))
     return error
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -139,6 +140,29 @@ class Screener:
             k: Rejection.unheld(cannot_hold(weakest[k], name), float(use[k].max()), weakest[k])
             for k in np.flatnonzero(use.max(axis=1) > 1).tolist()
         }
+
+    def least_use(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> tuple[float, int]:
+        """Return what share of what feet bear the job asks in the best of some candidates, and its number.
+
+        An estimate, with the arm put away and at work, without obstacles; infinite where no posture is found.
+        """
+        loads, number, least = self.loads.by_use(), np.array(numbers, dtype=np.intp), np.inf
+        q = np.tile(np.array(put_away(self._scene).posture), (len(number), 1))
+        asked = self.arm.use(q, number, self.loads)[:, -1]
+        order = np.argsort(asked, kind="stable")
+        for first in range(0, len(number), _PROMISING_STANCES):
+            # The job asks no less than to put the arm away: where that is too much, no posture is sought.
+            some = order[first : first + _PROMISING_STANCES]
+            for task, k in product(tasks, range(VIA_POINTS)):
+                some = some[asked[some] < least]
+                if not len(some):
+                    break
+                bases = self._bases[number[some]]
+                use = self.arm.least(task, times_of(task)[k], bases, loads, number[some], CLOSELY)[0]
+                asked[some] = np.maximum(asked[some], use)
+            least = min(least, asked[some].min(initial=np.inf))
+        best = int(asked.argmin())
+        return float(asked[best]), int(number[best])
 
     def screened(
         self,

@@ -173,6 +173,11 @@ class Ending:
         """Give charts a larger share of what is left from now on."""
         self._more *= _MORE_TIME
 
+    def spent(self) -> float:
+        """Return which share of its time is over; 0 where none was given."""
+        over = monotonic() - self._began
+        return over / (over + max(self.left(), _MIN_SECONDS))
+
     def left(self) -> float:
         """Return what is left of the time, s."""
         now = monotonic()
@@ -439,7 +444,8 @@ class _Search:
         if self._done[stage.name] + sum(other is stage for _, other, _ in judged) >= stage.most:
             return
         share = self._planned / self._wanted if last else self._done[stage.name] / stage.most
-        self._progress(stage.step, min(share, 1.0))
+        # Where none is found, time goes by all the same.
+        self._progress(stage.step, min(max(share, self._ending.spent()), 1.0))
         if last and self._ending.hastens:
             self._ending.hasten(_HASTENED_S)
             self._tried += 1
