@@ -242,6 +242,8 @@ class PlanningError(CmbotError, RuntimeError):
 
     stopped = False
     """Whether the time was over before it was known whether there is one."""
+    key = ""
+    """Of what in the scene cannot be planned, where one is known."""
 
 
 @dataclass(eq=False, repr=False)
@@ -276,9 +278,10 @@ class PathNotFound(PlanningError):
     stopped: bool = False
 
     def __post_init__(self) -> None:
-        value, covered = self.smallest_singular_value, f"{self.progress:.0%} of the tool path"
+        value = self.smallest_singular_value
+        covered = f" beyond t = {self.time:.2f} s ({self.progress:.0%} of the tool path)" * (self.time > 0)
         near = f"; near a singular posture (smallest singular value {value:.3g})"
-        text = f"no path beyond t = {self.time:.2f} s ({covered}): {self.reason}"
+        text = f"no path{covered}: {self.reason}"
         super().__init__(text, near if 0 < value < _NEAR_SINGULAR_VALUE else "")
 
 

@@ -16,7 +16,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.reading.validation import counted
-from cmbot.common.reading.yaml_reader import lines_named
+from cmbot.common.reading.yaml_reader import line_of, lines_named
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import LOADS
@@ -216,8 +216,9 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
         yield "of what the feet bear there, safety included", f"{100 * use.share:.0f} %: {got}"
         if use.share > 1.0:
             other = ", or another place, which cmbot stand seeks" * scene.is_movable
-            expected = f"feet that bear what the arm asks: {scene.hold_of(use.foot)[0]}.{use.bound}{other}"
-            yield Finding(severity="error", key=scene.posture_key, got=got, expected=expected)
+            expected = f"feet that bear what {scene.posture_key} asks at rest{other}"
+            key = f"{scene.hold_of(use.foot)[0]}.{use.bound}"
+            yield Finding(severity="error", key=key, got=got, expected=expected)
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
         share, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
@@ -362,15 +363,26 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             robot = robot_of(scene)
+            if error.key:
+                _name_key(error, scene, error.key)
             for warning in _warnings(_hold_at_start(scene, robot)):
                 # What does not even hold at rest comes first.
                 error.add_source(f"the start asks {warning.got}")
+                _name_key(error, scene, warning.key)
             for warning in _warnings(_sag_at_start(scene, robot)):
                 error.add_hint(f"{warning.key} has {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
                 error.add_hint(f"{key} looks like {looks}, it is in {units}")
         raise
+
+
+def _name_key(error: PlanningError, scene: Scene, key: str) -> None:
+    """Say of an error which key of the scene it is about, and the line where that is in a file."""
+    if key not in str(error):
+        error.add_source(key)
+    if line := line_of(Path(scene.source), key):
+        error.add_source(f"line {line}")
 
 
 def require_sound_path(scene: Scene, stroke: Stroke) -> None:
@@ -383,7 +395,9 @@ def require_seconds(request: StrokeRequest) -> None:
     """Refuse a stroke whose seconds no motion of the joints keeps: a `PathNotFound`."""
     for found in _too_short(request.stroke, request.cell.robot):
         reason = f"{found.key}: got {found.got}, expected {found.expected}"
-        raise request.path_not_found(reason, request.state.posture)
+        error = request.path_not_found(reason, request.state.posture)
+        error.key = found.key
+        raise error
 
 
 def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
@@ -396,7 +410,7 @@ def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
         got = f"{length:.3g} m in {seconds:.3g} s"
         least_s = _rounded_up(least)
         expected = f"more than {least_s} s, or seconds: auto; in less no arm of this reach keeps its limits"
-        yield _warning(f"{key}.{speed}", got, expected)
+        yield Finding(severity="error", key=f"{key}.{speed}", got=got, expected=expected)
 
 
 def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
