@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -100,7 +100,6 @@ class StandCommand(Writing):
 
         def say() -> None:
             _print_rankings(rankings)
-            print_lines(_scenes_in_words(rankings))
             _print_written(directory, started)
 
         files = (*_STANCE_FILES, record, "best.yaml", "best_1.yaml")
@@ -237,7 +236,7 @@ def _print_rankings(rankings: Sequence[StanceRanking]) -> None:
         title = f"Stances {number}" if len(rankings) > 1 else "Stances"
         print_table(f"{title}, planned", *told.planned_table(ranking), text_columns=2)
         others = told.bounds_table(ranking, _MAX_ROWS)
-        print_table(f"{title}, not planned: bounds (estimates)", *others, text_columns=4)
+        print_table(f"{title}, {_NOT_PLANNED}: bounds (estimates)", *others, text_columns=4)
         print_lines(told.in_words(ranking))
     print_lines(told.shared_out(rankings))
 
@@ -276,30 +275,17 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
 
     texts = (cmbot.stances.stances_csv(rankings), cmbot.views.stances_page(rankings, name))
     contents = dict(zip(_STANCE_FILES, texts, strict=True))
-    for file, each, rank in _scene_files(rankings):
-        scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
-        was = _NOT_PLANNED if each.ranked[rank - 1].plan is None else "planned"
-        contents[file] = f"{_HEADER.format(was)}{scene}"
-    return {file: text.encode() for file, text in contents.items()}
-
-
-def _scene_files(rankings: Sequence[StanceRanking]) -> Iterator[tuple[str, StanceRanking, int]]:
-    """The names of the scenes that are written, and of which stance each is: its ranking and its rank."""
     for number, each in enumerate(rankings, start=1):
         group = "" if len(rankings) == 1 else f"_{number}"
         for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
             best = rank == 1 and (each.best is not None or not each.plans)
             judged = rank == 1 or not each.plans or one.stage in cmbot.stances.CHARTED
             if best or (judged and one.bound < float("inf")):
-                yield f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml", each, rank
-
-
-def _scenes_in_words(rankings: Sequence[StanceRanking]) -> Iterator[str]:
-    """Say which of the scenes that are written were planned."""
-    made = [(file, each.ranked[rank - 1].plan is not None) for file, each, rank in _scene_files(rankings)]
-    for planned, was in ((True, "planned"), (False, _NOT_PLANNED)):
-        if names := ", ".join(file for file, is_planned in made if is_planned is planned):
-            yield f"{names}: {was}."
+                scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
+                file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"
+                was = "planned" if one.plan is not None else _NOT_PLANNED
+                contents[file] = f"{_HEADER.format(was)}{scene}"
+    return {file: text.encode() for file, text in contents.items()}
 
 
 def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:

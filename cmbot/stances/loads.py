@@ -282,9 +282,9 @@ class StanceLoads:
             good[kept[rows]] &= bears(foot, load)
         return good
 
-    def feet(self, number: int) -> list[Foot]:
-        """Return those of a stance."""
-        return [part[number] for part in self._parts]
+    def weakest_foot(self, number: int) -> Foot:
+        """Return that of a stance on which a magnet can pull least."""
+        return min((part[number] for part in self._parts), key=lambda foot: foot.most_adhesion)
 
     @property
     def bounded(self) -> bool:

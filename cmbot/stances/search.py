@@ -200,8 +200,6 @@ class Rejection:
         That without what it has to do with this stance alone: the same for many.
     excess : float
         By what factor a bound is exceeded; infinite where it is none.
-    would_do : str
-        What else would take the cause away than a bound that is wider by that factor; empty where unknown.
     weakest : str
         Whose bound that is where the arm cannot be put away: a joint, or `FEET`; else empty.
     """
@@ -210,7 +208,6 @@ class Rejection:
     reason: str
     cause: str
     excess: float = np.inf
-    would_do: str = ""
     weakest: str = ""
 
     @staticmethod
@@ -218,8 +215,8 @@ class Rejection:
         cause: str, use: float, weakest: str, *, kind: Status = "blocked", said: str = ""
     ) -> Rejection:
         """Return that of an arm that cannot be put away, as that takes `use` times what `weakest` bears."""
-        reason, other = f"{said or cause}, {use:.2f} times what it bears", "start with return: start"
-        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, would_do=other, weakest=weakest)
+        reason = f"{said or cause}, {use:.2f} times what it bears"
+        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, weakest=weakest)
 
     @staticmethod
     def of(kind: Status, error: CmbotError) -> Rejection:

@@ -77,7 +77,7 @@ def test_a_stance_in_which_the_arm_cannot_be_put_away(scene: Scene) -> None:
     assert bounded_quickly(cmbot.load_scene({**scene.as_data(), **other})) > 0
     # Many stances are left out for that: it is one cause, and what would do is told.
     heavier = CannotBePutAway(caught.value.reason, time=0.0, progress=0.0, smallest_singular_value=1.0)
-    heavier.use = 9.0
+    heavier.use, heavier.weakest = 9.0, "joint_2"
     own = own_candidate(scene)
     left_out = tuple(
         StanceResult(candidate=own, stage="obstacles", bound=1.0, rejection=Rejection.of("blocked", error))
