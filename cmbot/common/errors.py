@@ -242,8 +242,6 @@ class PlanningError(CmbotError, RuntimeError):
 
     stopped = False
     """Whether the time was over before it was known whether there is one."""
-    key = ""
-    """Of what in the scene cannot be planned, where one is known."""
 
 
 @dataclass(eq=False, repr=False)
@@ -266,6 +264,8 @@ class PathNotFound(PlanningError):
         Where the joints' velocities do not suffice to lead on from there: that factor on them would do.
     stopped : bool
         The time was over.
+    key : str
+        Of what in the scene stopped it, where that is known; the reason names it.
     """
 
     reason: str
@@ -276,6 +276,7 @@ class PathNotFound(PlanningError):
     pair: tuple[str, str] | None = None
     pace: float = 1.0
     stopped: bool = False
+    key: str = ""
 
     def __post_init__(self) -> None:
         value = self.smallest_singular_value

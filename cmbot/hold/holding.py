@@ -48,8 +48,6 @@ class FootUse:
         ``adhesion_n``, ``force_n`` or ``moment_nm``.
     axis : int
         Of a clamp's bound, from 0; else 0.
-    limit : str
-        Which bound, such as ``moment_nm about the width``.
     in_words : str
         What it asks, and has.
     """
@@ -58,7 +56,6 @@ class FootUse:
     foot: int
     bound: str
     axis: int
-    limit: str
     in_words: str
 
 
@@ -316,11 +313,8 @@ class Holding:
             for k, (value, most, name) in enumerate(asked):
                 words = f"{value:.0f} {name}, times safety {foot.safety:g}, where {which} has {most:.0f} "
                 words, share = words + name.split()[0], float(foot.safety * value / most)
-                bound, axis = ("force_n", "moment_nm", "adhesion_n")[k // 3], name.partition(" ")[2]
-                limit = bound if k // 3 == 2 else f"{bound} {axis}"
-                uses.append(
-                    FootUse(share=share, foot=number, bound=bound, axis=k % 3, limit=limit, in_words=words)
-                )
+                bound = ("force_n", "moment_nm", "adhesion_n")[k // 3]
+                uses.append(FootUse(share=share, foot=number, bound=bound, axis=k % 3, in_words=words))
         return max(uses, key=lambda use: use.share)
 
     def bears(self, wrench: FloatArray, share: float = 1.0) -> BoolArray:

@@ -54,7 +54,7 @@ def require_within_reach(request: StrokeRequest) -> None:
         time = float(request.times[np.argmax(away > robot.reach * (1 + _REACH_TOLERANCE))])
         joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
         what = "lies" if key.endswith(".from") else "ends"
-        error = PathNotFound(
+        raise PathNotFound(
             f"{key} {what} {distance:.3f} m from the arm's first joint at ({joint}) m, "
             f"{distance - robot.reach:.3f} m out of reach (the arm with its tool stretched out is "
             f"{robot.reach:.3f} m long, in metres)",
@@ -62,9 +62,8 @@ def require_within_reach(request: StrokeRequest) -> None:
             progress=path.progress(time),
             # The stretched arm cannot move further out.
             smallest_singular_value=0.0,
+            key=key,
         )
-        error.key = key
-        raise error
 
 
 def require_postures(request: StrokeRequest) -> None:
@@ -95,8 +94,8 @@ def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
         progress=request.task.path.progress(miss.first_time),
         smallest_singular_value=0.0,
         pair=miss.pair,
+        key=miss.key,
     )
-    failure.key = miss.key
     if len(request.strokes) > 1:
         failure.add_hint(f"this is stroke {request.stroke.name}")
     raise failure

@@ -280,7 +280,7 @@ def test_a_scene_whose_feet_do_not_hold_at_the_start_is_told_so() -> None:
     assert left.startswith("two-pole magnets pull 1.9 kN at most on 8 mm of steel, with safety ")
     assert f"the start posture alone asks {asked:.1f} kN (gap: allowed; gap: none asks " in left
     assert f"a magnet of more poles that pulls {asked:.1f} kN; cmbot plan says what the job " in left
-    with pytest.raises(PlanningError, match=r"^the start asks [0-9]+ N of adhesion"):
+    with pytest.raises(PlanningError, match=r"^guardrail\.hold\.adhesion_n: the start asks [0-9]+ N of"):
         plan(magnet_scene(1000.0))
 
 

@@ -20,8 +20,8 @@ from cmbot.scene import AxisCone, Keep
 # stroke, and of all together, and at least; as many ends of legs come on top.
 _PLACE_DISTANCE_M, _MIN_LEG_STEPS = 0.05, 4
 _MAX_STROKE_PLACES, _ALL_PLACES, _MIN_PLACES = 64, 480, 6
-# By how much more than is missing a path is moved, and what of a millimetre counts for nothing.
-_MORE_MOVED, _MIN_MOVED_MM = 1.1, 0.5
+# By how many times what is missing a path is moved.
+_MORE_MOVED = 1.1
 # A margin of zero has no shares.
 _MIN_MARGIN_M = 1e-9
 
@@ -106,9 +106,8 @@ class NearestMiss:
         if self.missed.is_held or request.cell.robot.fixed_tool is not None:
             return
         tool = request.cell.postures.tool_at(self.missed.best[None]).tool_point[0]
-        # Whole millimetres, and a little more.
-        by = _MORE_MOVED * (tool - there.point[self.missed.place])
-        by = 1e-3 * np.sign(by) * np.ceil(1e3 * np.abs(by) - _MIN_MOVED_MM) + 0.0
+        # As it is told.
+        by = np.round(_MORE_MOVED * (tool - there.point[self.missed.place]), 3) + 0.0
         moved = replace(there, point=there.point + by)
         if worst_missed(request.cell.robot, request.task, moved, request.state.posture) is None:
             how = ", ".join(f"{x:.3f}" for x in by)
@@ -139,11 +138,12 @@ class NearestMiss:
     def at_best(self) -> str:
         """What the best posture that was found lacks."""
         cell, best = self.request.cell, self.missed.best[None]
-        if (joint := self._weakest) == FEET and cell.robot.holding is not None:
-            limit = cell.robot.holding.most_used(cell.postures.at(best).guardrail_wrench).limit
-            return f"{joint} uses {self._use:.0%} of its hold ({limit})"
-        if joint:
-            return f"{joint} uses {self._use:.0%} of its torque"
+        if joint := self._weakest:
+            limit, holding = "torque", cell.robot.holding
+            if joint == FEET and holding is not None:
+                use = holding.most_used(cell.postures.at(best).guardrail_wrench)
+                limit = f"hold ({use.bound}{'' if use.bound == 'adhesion_n' else f'[{use.axis}]'})"
+            return f"{joint} uses {self._use:.0%} of its {limit}"
         smallest = cell.clearances.query(best)
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)

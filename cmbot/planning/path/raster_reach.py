@@ -83,9 +83,7 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
             key = f"{at_first[k].stroke.key}.raster"
             miss = nearest_miss(at_first[k], is_clear=True)
             reason = f"no place of {key} is reached{f': {miss.reason()}' if miss else ''}"
-            error = request.path_not_found(reason, request.state.posture)
-            error.key = key
-            raise error
+            raise request.path_not_found(reason, request.state.posture, key=key)
     changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
     return scene.with_cells({k: parts[k] for k in changed}, whole)
 
