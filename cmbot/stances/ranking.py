@@ -80,9 +80,6 @@ class StanceRanking(ShortRepr):
         What others than the own stance may sag, where that was not asked for: the scene's tolerance where it
         has one and its sag is not compensated, else what the own stance sags, at least 5 mm. None where any
         sag is allowed, nothing bends or the sag is ranked.
-    feet_asked : str
-        What the job asks of feet, where none was planned and stances are left out in which they are too weak:
-        a sentence without its full stop; else empty.
     """
 
     scene: Scene
@@ -91,7 +88,6 @@ class StanceRanking(ShortRepr):
     plans: int = StandOptions.plans
     ended_by: Literal["", "interrupt", "time"] = ""
     sag_limit: SagLimit | None = None
-    feet_asked: str = ""
 
     @property
     def unit(self) -> str:
@@ -147,9 +143,8 @@ class StanceRanking(ShortRepr):
             some = [
                 each.rejection for each in self.ranked if each.rejection and each.rejection.cause == cause
             ]
-            if some[0].weakest not in ("", FEET):
-                yield _remedy(min(some, key=lambda each: each.excess))
-        yield from filter(None, [self.feet_asked])
+            if some[0].weakest:
+                yield _remedy(some)
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -196,10 +191,17 @@ class StanceRanking(ShortRepr):
         return sum(each.status == status for each in self.ranked)
 
 
-def _remedy(why: Rejection) -> str:
-    """What would take away a reason, rounded up, so that it does."""
-    times = f"{why.excess + 0.005:.2f} times what it bears"
-    return f"where {why.cause}, {times} would do, or another start with return: start"
+def _remedy(some: Sequence[Rejection]) -> str:
+    """What would take away a reason, rounded up, so that it does; of feet what many stances ask at least."""
+    first, *others = sorted(some, key=lambda each: each.excess)
+    if first.weakest == FEET:
+        # What the least asks others ask again: feet that bear a little more seldom help.
+        asks = (
+            f"ask at least {[first, *others][len(some) // 2].excess:.2f} times what it bears for that alone"
+        )
+        return f"where {first.cause}, half of {counted(len(some), 'stance')} {asks}"
+    times = f"{first.excess + 0.005:.2f} times what it bears"
+    return f"where {first.cause}, {times} would do, or another start with return: start"
 
 
 def stand(
@@ -411,19 +413,17 @@ class _Stand:
         if not scene.on_guardrail:
             times = np.array([times_of(task) for task in self._tasks])
             results = [*judge.proven(results, found, strokes, times, self._ending, progress)]
-        missed = self._options.plans and all(each.plan is None for each in results)
         return StanceRanking(
             scene=part,
             objective=self._objective,
             ranked=tuple(sorted(results, key=lambda each: each.order)),
-            feet_asked=self._feet_asked(found, strokes) if missed else "",
             plans=self._options.plans,
             ended_by=self._ending.by or ("time" if self._ending.screening_cut else ""),
             sag_limit=self._limit,
         )
 
     def _feet_asked(self, found: Screening, strokes: Sequence[int]) -> str:
-        """What strokes ask of feet where none bear them, as `StanceRanking.feet_asked` has it."""
+        """What strokes ask of feet at least, where they are too weak in all stances; else empty."""
         screener, unbound = self._screener, np.isinf(found.bound[strokes]).any(axis=0)
         weak = np.asarray(found.within_reach[strokes].all(axis=0) & unbound)
         weak[[k for k, why in self._unheld.items() if why.weakest != FEET]] = False
@@ -463,7 +463,7 @@ class _Stand:
         joints = [why for why in self._unheld.values() if why.weakest != FEET]
         hints = [self._feet_asked(found, own)]
         hints += [f"in the nearest one, {nearest.place}, {each}" for each in got]
-        hints += [_remedy(min(joints, key=lambda each: each.excess))] if joints else []
+        hints += [_remedy(joints)] if joints else []
         for hint in filter(None, hints):
             error.add_hint(hint)
         return error
