@@ -193,13 +193,12 @@ class StanceRanking(ShortRepr):
 
 def _remedy(some: Sequence[Rejection]) -> str:
     """What would take away a reason, rounded up, so that it does; of feet what many stances ask at least."""
-    first, *others = sorted(some, key=lambda each: each.excess)
+    each = sorted(some, key=lambda each: each.excess)
+    first, half = each[0], each[len(each) // 2].excess
     if first.weakest == FEET:
         # What the least asks others ask again: feet that bear a little more seldom help.
-        asks = (
-            f"ask at least {[first, *others][len(some) // 2].excess:.2f} times what it bears for that alone"
-        )
-        return f"where {first.cause}, half of {counted(len(some), 'stance')} {asks}"
+        asks = f"half of {counted(len(each), 'stance')} ask at least {half:.2f} times what it bears"
+        return f"where {first.cause}, {asks} for that alone"
     times = f"{first.excess + 0.005:.2f} times what it bears"
     return f"where {first.cause}, {times} would do, or another start with return: start"
 
