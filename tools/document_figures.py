@@ -64,7 +64,7 @@ def gains(name: str) -> Iterator[Row]:
     yield "tool within, with 95 %, mm", *(f"{budget.within_mm:.1f}" for budget in budgets if budget)
     yield "sag of the tool off its path, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
     yield "sway beside the sag, mm", *(f"{1e3 * each.largest(each.dynamic):.1f}" for each in motions)
-    yield "swing after the job, mm", *(f"{1e3 * rest.diameter:.2f}" for rest in rests if rest)
+    yield "swing after the work, mm", *(f"{1e3 * rest.diameter:.2f}" for rest in rests if rest)
     both = baseline.job_figures, plan.job.figures
     needed = (f"{1e-3 * each.adhesion_needed.peak:.1f}" for each in both if each.adhesion_needed)
     peaks = (f"{each.peak_guardrail_torque:.0f}" for each in both)

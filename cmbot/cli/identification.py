@@ -260,27 +260,31 @@ def _located(found: Location) -> dict[str, Any]:
 
 
 def _use(found: Location) -> str:
-    """What to do with the blocks."""
+    """What to do with the blocks, and what then says how exactly the place is known."""
     if found.frame == "world":
         return (
             "with from: {frame: workpiece, ...} in the scene's strokes and frame: workpiece in its obstacles"
-            " these follow it"
+            f" these follow it; then {_exactly(found)} says how exactly"
         )
-    return "its blocks go into the scene"
+    return f"its blocks go into the scene, where {_exactly(found)} says how exactly the tool's path is known"
+
+
+def _exactly(found: Location) -> str:
+    """The block that says how exactly the workpiece is known, relative to where the base is."""
+    known = found.placement
+    return (
+        f"uncertainty: {{workpiece: {{mm: {known.mm:.4g}, deg: {known.deg:.4g}}}, foot: {{mm: 0, deg: 0}}}}"
+    )
 
 
 def _blocks(found: Location, remarks: list[str]) -> str:
     """The blocks of a scene that say where the workpiece is, below what was found in words."""
-    told, known = _located(found), found.placement
+    told = _located(found)
     name = "workpiece" if found.frame == "world" else found.frame
     xyz, rpy = ([round(x, 7) for x in told[key]] for key in ("xyz", "rpy_deg"))
     lines = [f"# {one_line(line)}" for line in remarks]
     lines.append(f"frames: {{{name}: {{xyz: {xyz}, rpy_deg: {rpy}}}}}")
     # Nothing in the scene follows a frame that it did not have, so its path is known no better.
     if found.frame != "world":
-        lines += [
-            "uncertainty:",
-            f"  workpiece: {{mm: {known.mm:.4g}, deg: {known.deg:.4g}}}",
-            "  foot: {mm: 0, deg: 0}  # the place is that of the workpiece relative to the foot",
-        ]
+        lines.append(f"{_exactly(found)}  # relative to the foot")
     return "\n".join([*lines, ""])

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _MAX_ROWS = 10
 _STANCE_FILES = ("stances.csv", "index.html")
-_HEADER_LINE = "# Written by cmbot stand: the scene in a stance.\n"
+_HEADER = "# Written by cmbot stand: the scene in a stance that was {}.\n# Metres, seconds, degrees.\n"
+_NOT_PLANNED = "not planned, so that cmbot plan may fail"
 _WALK_FILES = ("walk.csv", "index.html", "replay.html")
 
 
@@ -235,7 +236,7 @@ def _print_rankings(rankings: Sequence[StanceRanking]) -> None:
         title = f"Stances {number}" if len(rankings) > 1 else "Stances"
         print_table(f"{title}, planned", *told.planned_table(ranking), text_columns=2)
         others = told.bounds_table(ranking, _MAX_ROWS)
-        print_table(f"{title}, not planned: bounds (estimates)", *others, text_columns=4)
+        print_table(f"{title}, {_NOT_PLANNED}: bounds (estimates)", *others, text_columns=4)
         print_lines(told.in_words(ranking))
     print_lines(told.shared_out(rankings))
 
@@ -282,7 +283,8 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
             if best or (judged and one.bound < float("inf")):
                 scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
                 file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"
-                contents[file] = f"{_HEADER_LINE}# Metres, seconds, degrees.\n{scene}"
+                was = "planned" if one.plan is not None else _NOT_PLANNED
+                contents[file] = f"{_HEADER.format(was)}{scene}"
     return {file: text.encode() for file, text in contents.items()}
 
 

@@ -264,6 +264,8 @@ class PathNotFound(PlanningError):
         Where the joints' velocities do not suffice to lead on from there: that factor on them would do.
     stopped : bool
         The time was over.
+    key : str
+        Of what in the scene stopped it, where that is known; the reason names it.
     """
 
     reason: str
@@ -274,11 +276,13 @@ class PathNotFound(PlanningError):
     pair: tuple[str, str] | None = None
     pace: float = 1.0
     stopped: bool = False
+    key: str = ""
 
     def __post_init__(self) -> None:
-        value, covered = self.smallest_singular_value, f"{self.progress:.0%} of the tool path"
+        value = self.smallest_singular_value
+        covered = f" beyond t = {self.time:.2f} s ({self.progress:.0%} of the tool path)" * (self.time > 0)
         near = f"; near a singular posture (smallest singular value {value:.3g})"
-        text = f"no path beyond t = {self.time:.2f} s ({covered}): {self.reason}"
+        text = f"no path{covered}: {self.reason}"
         super().__init__(text, near if 0 < value < _NEAR_SINGULAR_VALUE else "")
 
 

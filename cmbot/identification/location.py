@@ -31,6 +31,7 @@ from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import counted
 from cmbot.common.representation import ShortRepr
 from cmbot.identification.touches import Feature, Touches, TouchSetup, read_touches
+from cmbot.planning import robot_of, strokes_of
 from cmbot.scene import Placement, Scene
 
 # Probability by chance of the residual of a touch that is left out, and the share that may go.
@@ -46,6 +47,8 @@ _HUBER_SIGMAS = 2.0
 _DRAWS, _WIDER, _ROUNDS, _COUNTING_SHARE = 1024, 1.5, 3, 0.1
 # Root of x^7 = x + 1: its powers spread draws evenly in six dimensions (Roberts, 2018).
 _SPREADING = 1.1127756842787055
+# The tool points towards faces whose normals are within 60 degrees of it: at least one of any box.
+_FACED = 0.5
 _POSE_DIRECTIONS = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
@@ -275,19 +278,22 @@ def location_remarks(found: Location, touches: Touches) -> Iterator[str]:
 def features_to_touch(scene: Scene, number: int) -> tuple[list[Feature], FloatArray]:
     """Return features of the scene's workpieces that tell most, in W, and the covariance (6, 6) expected.
 
-    Corners of boxes that are marked as workpieces, those first that lower the mean variance of the place of
-    the tool path most.
+    Corners of boxes that are marked as workpieces, of the faces towards which the tool points where a stroke
+    begins; those first that lower the mean variance of the place of the tool path most.
 
     Raises
     ------
     InputError
         When no box is marked.
     """
-    corners = list[FloatArray]()
+    corners, paths = list[FloatArray](), [stroke.path for stroke in strokes_of(scene, robot_of(scene))]
+    axes = np.array([path.poses([0.0]).rotation[0, :, 2] for path in paths])
     for obstacle in scene.all_obstacles:
         if obstacle.workpiece and isinstance(obstacle.shape, Box):
-            half = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3) * obstacle.shape.size
-            corners += list(half @ obstacle.X_WO[:3, :3].T + obstacle.X_WO[:3, 3])
+            R, sides = obstacle.X_WO[:3, :3], np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
+            # Others, such as those of its underside, no tool can touch from where it works.
+            faced = (sides[:, None] * (axes @ R) < -_FACED).any(axis=(1, 2))
+            corners += list((0.5 * sides[faced] * obstacle.shape.size) @ R.T + obstacle.X_WO[:3, 3])
     if not corners:
         expected = "a box with workpiece: true among the scene's obstacles, whose corners can be touched"
         raise InputError(scene.source, "obstacles", "no such box", expected)

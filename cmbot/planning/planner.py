@@ -36,6 +36,7 @@ from cmbot.planning.reach import (
     require_postures,
     require_within_reach,
     upright,
+    without_posture,
 )
 from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of, with_cuts
 from cmbot.planning.result.plan import Plan, require_plan
@@ -113,10 +114,21 @@ def plan(
     deadline = Deadline(given.time_limit_s)
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        scene = reached_scene(scene, given, deadline)
+        scene = _reached(scene, given, deadline)
         with watched(progress) as report:
             planner = _Planner.of(given, report, deadline, objective)
             return planner.partial(scene) if partial else planner.whole(scene)
+
+
+def _reached(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Scene:
+    """The scene whose rasters are in parts that the arm can follow; errors say what would do."""
+    try:
+        return reached_scene(scene, options, deadline)
+    except PathNotFound as error:
+        would_do = {found.key: found.expected.partition(": ")[2] for found in without_posture(scene)}
+        if hint := would_do.get(error.key):
+            error.add_hint(hint)
+        raise
 
 
 def plan_candidate(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Plan:
@@ -174,7 +186,7 @@ def replan(
     given, deadline = scene.planner, Deadline(scene.planner.time_limit_s)
     # As in `plan`.
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        near = _timed_as(plan, reached_scene(scene, given, deadline))
+        near = _timed_as(plan, _reached(scene, given, deadline))
         with watched(progress) as report:
             outcome = _Planner.of(given, report, deadline).job(near, deadline, plan)
     if isinstance(outcome, Plan):

@@ -13,10 +13,10 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import MissingExtra, PlanningError, SceneError
+from cmbot.common.errors import MissingExtra, PathNotFound, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.reading.validation import counted
-from cmbot.common.reading.yaml_reader import lines_named
+from cmbot.common.reading.yaml_reader import line_of, lines_named
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import LOADS
@@ -217,8 +217,9 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
         yield "of what the feet bear there, safety included", f"{100 * use.share:.0f} %: {got}"
         if use.share > 1.0:
             other = ", or another place, which cmbot stand seeks" * scene.is_movable
-            expected = f"feet that bear what the arm asks: {scene.hold_of(use.foot)[0]}.{use.bound}{other}"
-            yield Finding(severity="error", key=scene.posture_key, got=got, expected=expected)
+            expected = f"feet that bear what {scene.posture_key} asks at rest{other}"
+            key = f"{scene.hold_of(use.foot)[0]}.{use.bound}"
+            yield Finding(severity="error", key=key, got=got, expected=expected)
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
         share, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
@@ -241,7 +242,7 @@ def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
         if foot.adhesion is not None and foot.adhesion > foot.ceiling:
             most = f"{foot.ceiling:.0f} N at most"
             got = f"{foot.adhesion:.0f} N{which}, where a magnet of two poles pulls {most}"
-            expected = "what the magnet was measured to pull on this steel; it is taken as given"
+            expected = "what the magnet was measured to pull on this steel; more poles pull more: it is taken"
             yield _warning(f"{key}.adhesion_n", got, expected)
 
 
@@ -363,9 +364,13 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         if isinstance(error, PlanningError):
             robot = robot_of(scene)
+            if line := isinstance(error, PathNotFound) and line_of(Path(scene.source), error.key):
+                error.add_source(f"line {line}")
             for warning in _warnings(_hold_at_start(scene, robot)):
                 # What does not even hold at rest comes first.
                 error.add_source(f"the start asks {warning.got}")
+                line = line_of(Path(scene.source), warning.key)
+                error.add_source(f"line {line}: {warning.key}" if line else warning.key)
             for warning in _warnings(_sag_at_start(scene, robot)):
                 error.add_hint(f"{warning.key} has {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
@@ -384,7 +389,7 @@ def require_seconds(request: StrokeRequest) -> None:
     """Refuse a stroke whose seconds no motion of the joints keeps: a `PathNotFound`."""
     for found in _too_short(request.stroke, request.cell.robot):
         reason = f"{found.key}: got {found.got}, expected {found.expected}"
-        raise request.path_not_found(reason, request.state.posture)
+        raise request.path_not_found(reason, request.state.posture, key=found.key)
 
 
 def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
@@ -397,7 +402,7 @@ def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
         got = f"{length:.3g} m in {seconds:.3g} s"
         least_s = _rounded_up(least)
         expected = f"more than {least_s} s, or seconds: auto; in less no arm of this reach keeps its limits"
-        yield _warning(f"{key}.{speed}", got, expected)
+        yield Finding(severity="error", key=f"{key}.{speed}", got=got, expected=expected)
 
 
 def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
@@ -407,19 +412,13 @@ def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
         return
     speeds = _speeds(path)
     for k in np.flatnonzero(speeds > most * (1 + _ROUNDING_SHARE)):
-        key = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key
-        if stroke.asked_speed(int(k)) is not None:
-            yield _warning(
-                f"{key}.speed_m_s",
-                f"{speeds[k]:.4g} m/s",
-                f"at most {most:g} m/s, as tool.max_speed_m_s says",
-            )
-            continue
-        yield _warning(
-            f"{key}.seconds",
-            f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
-            f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
-        )
+        key, name = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key, "speed_m_s"
+        got, expected = f"{speeds[k]:.4g} m/s", f"at most {most:g} m/s, as tool.max_speed_m_s says"
+        if stroke.asked_speed(int(k)) is None:
+            name, got = "seconds", f"{path.seconds[k]:g} s, in which the tool reaches {got}"
+            least = _rounded_up(path.seconds[k] * speeds[k] / most)
+            expected = f"at least {least} s, for tool.max_speed_m_s {most:g}"
+        yield _warning(f"{key}.{name}", got, expected)
 
 
 def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:

@@ -52,14 +52,17 @@ def require_within_reach(request: StrokeRequest) -> None:
     for key, distance in beyond_reach(request.stroke, robot):
         away = np.linalg.norm(request.goals.point - robot.base_point, axis=1)
         time = float(request.times[np.argmax(away > robot.reach * (1 + _REACH_TOLERANCE))])
+        joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
         what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(
-            f"{key} {what} {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out "
-            f"of reach (the arm with its tool stretched out is {robot.reach:.3f} m long, in metres)",
+            f"{key} {what} {distance:.3f} m from the arm's first joint at ({joint}) m, "
+            f"{distance - robot.reach:.3f} m out of reach (the arm with its tool stretched out is "
+            f"{robot.reach:.3f} m long, in metres)",
             time=time,
             progress=path.progress(time),
             # The stretched arm cannot move further out.
             smallest_singular_value=0.0,
+            key=key,
         )
 
 
@@ -91,6 +94,7 @@ def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
         progress=request.task.path.progress(miss.first_time),
         smallest_singular_value=0.0,
         pair=miss.pair,
+        key=miss.key,
     )
     if len(request.strokes) > 1:
         failure.add_hint(f"this is stroke {request.stroke.name}")

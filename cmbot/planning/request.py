@@ -154,6 +154,7 @@ class StrokeRequest(ShortRepr):
         pace: float = 1.0,
         *,
         stopped: bool = False,
+        key: str = "",
     ) -> PathNotFound:
         """Return the error of a path that ends at posture `q` (n,), `time` s after its start."""
         return PathNotFound(
@@ -162,6 +163,7 @@ class StrokeRequest(ShortRepr):
             progress=self.task.path.progress(float(time)),
             smallest_singular_value=self.task.smallest_singular_value(self.cell.robot, q),
             pair=pair,
+            key=key,
             pace=pace,
             stopped=stopped,
         )

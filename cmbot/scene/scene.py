@@ -592,7 +592,7 @@ class Scene(FileModel):
         files, strokes = self.strokes, list[StrokeFile]()
         for k, file in enumerate(files):
             if k in cells:
-                require_apart(files, k, self.source, self._stroke_key)
+                require_apart(files, k, self.source, self.stroke_key)
                 taken = {str(each.name) for each in files}
                 strokes += raster_parts(file, cells[k], whole[k], taken)
             else:
@@ -618,8 +618,8 @@ class Scene(FileModel):
             parts += path_parts(stroke.file, stroke.path, own, taken) if own else [stroke.file]
         return self.with_strokes(parts, self.order)
 
-    def _stroke_key(self, number: int) -> str:
-        """The key in the file of a stroke: strokes that are parts of one raster have its key."""
+    def stroke_key(self, number: int) -> str:
+        """Return the key in the file of a stroke: strokes that are parts of one raster have its key."""
         stroke, listed = self.strokes[number], self._listed
         for name in (stroke.name, stroke.part_of):
             if name in listed:
@@ -634,7 +634,7 @@ class Scene(FileModel):
     def _path_source(self, number: int) -> PathSource:
         return PathSource(
             source=self.source,
-            key=self._stroke_key(number),
+            key=self.stroke_key(number),
             frames=self.frame_poses if self.tool.fixed is None else {},
             on_part=self.tool.fixed is not None,
             max_speed=self.tool.max_speed_m_s,

@@ -59,7 +59,7 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
         rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in each]
     swings = [motion.metrics.residual.diameter for motion in each if motion.metrics.residual is not None]
     if len(swings) == len(each):
-        rows["tool swings after the stop"] = swings
+        rows["tool swings after the work"] = swings
     for name, values in rows.items():
         yield name, *(f"{1e3 * value:.3f}" for value in values)
 
@@ -175,7 +175,7 @@ def interval_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
         at = f"{case.stiffness:g}"
         yield at, "tool off its path as simulated, at most", *(f"{1e3 * off:.3f}" for off in case.off_path)
         if case.swing is not None:
-            yield at, "tool swings after the stop", *(f"{1e3 * swing:.3f}" for swing in case.swing)
+            yield at, "tool swings after the work", *(f"{1e3 * swing:.3f}" for swing in case.swing)
 
 
 def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:

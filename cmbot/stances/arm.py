@@ -174,7 +174,8 @@ class BaseArm:
             sag = 1e3 * self._sag(at.q, stance, push, loads)
             hz, sway = batch.first_hz, 1e3 * batch.shaken(self.robot.damping_ratio, BAND_HZ)
         held, _, of_effort = loads.held(stance, wrench)
-        ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}[loads.objective]
+        ranked = {"torque": torque, "hold": adhesion, "sag": sag, "sway": sway}.get(loads.objective)
+        ranked = loads.use(stance, wrench) if ranked is None else ranked
         return np.array([ranked, torque, adhesion, sag, hz, sway, held, of_effort])
 
     def at_rest(self, q: FloatArray, stance: int, loads: StanceLoads) -> FloatArray:
@@ -216,6 +217,8 @@ class BaseArm:
             return loads.torque(stance, wrench)[0]
         if loads.objective == "hold":
             return loads.adhesion(stance, wrench)[0]
+        if loads.objective == "use":
+            return loads.use(stance, wrench)
         return 1e3 * self._sag(q, stance, push, loads)
 
     def _sag(self, q: FloatArray, stance: IntArray, push: FloatArray, loads: StanceLoads) -> FloatArray:

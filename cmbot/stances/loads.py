@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -136,7 +137,8 @@ class StanceLoads:
         self._lock(joints, feet, root[:, :3, 3], gravity)
         self._stiffness = self._turned([support.stiffness(each, leg) for each, leg in each_leg])
         self.bends = self._stiffness is not None or bool(arm.elasticity or arm.joint_elasticity)
-        self.objective, self._bounds = objective, bounds
+        self.objective: StanceObjective | Literal["use"] = objective
+        self._bounds = bounds
         about_base = scene.planner.moment_about == "base"
         self._point = -away if about_base else np.zeros_like(away)
         self._weights = np.array(scene.planner.axis_weights)
@@ -145,6 +147,12 @@ class StanceLoads:
         """Return the same with other bounds."""
         loads = copy(self)
         loads._bounds = bounds
+        return loads
+
+    def by_use(self) -> StanceLoads:
+        """Return the same that ranks by the share that feet use of what they bear, and lets that exceed 1."""
+        loads = copy(self)
+        loads.objective, loads._bounded = "use", False
         return loads
 
     def _lock(
@@ -245,7 +253,7 @@ class StanceLoads:
 
     def slope(self, of: IntArray, wrench: FloatArray, tool: FloatArray) -> FloatArray:
         """Derivatives (N, 3) of what is ranked by the torque in the base's frame; sag by that of the base."""
-        if self.objective == "torque":
+        if self.objective in ("torque", "use"):
             by_torque = self.torque(of, wrench)[1]
         elif self.objective == "hold":
             by_torque = self.adhesion(of, wrench)[1][:, 3:]
@@ -273,6 +281,10 @@ class StanceLoads:
         for foot, rows, load, _ in self._by_foot(of[kept], wrench[kept]) if self._bounded else ():
             good[kept[rows]] &= bears(foot, load)
         return good
+
+    def weakest_foot(self, number: int) -> Foot:
+        """Return that of a stance on which a magnet can pull least."""
+        return min((part[number] for part in self._parts), key=lambda foot: foot.most_adhesion)
 
     @property
     def bounded(self) -> bool:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from math import ceil
 from typing import Literal
 
 import numpy as np
@@ -18,7 +19,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, InputError, PlanningError, SceneError
 from cmbot.common.reading.validation import counted, shown
 from cmbot.common.representation import ShortRepr
-from cmbot.planning import FEET, ToolTask, precheck_scene, robot_of, strokes_of, task_of
+from cmbot.planning import FEET, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
 from cmbot.stances.candidates import (
@@ -142,8 +143,8 @@ class StanceRanking(ShortRepr):
             some = [
                 each.rejection for each in self.ranked if each.rejection and each.rejection.cause == cause
             ]
-            if some[0].would_do:
-                yield _remedy(min(some, key=lambda each: each.excess), self.scene)
+            if some[0].weakest:
+                yield _remedy(some)
 
     @property
     def nearest(self) -> StanceResult | None:
@@ -170,7 +171,7 @@ class StanceRanking(ShortRepr):
         if self.best is not None and first.bound >= self.best.value:
             return f"{late}; by their bounds (estimates) none of them is better than the best one"
         return (
-            f"{late}, first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
+            f"{late}; first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
             "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
         )
 
@@ -190,15 +191,16 @@ class StanceRanking(ShortRepr):
         return sum(each.status == status for each in self.ranked)
 
 
-def _remedy(why: Rejection, scene: Scene) -> str:
-    """What would take away a reason, rounded up, so that it does; of magnets their adhesion, too."""
-    times, holds = why.excess + 0.005, scene.guardrail.hold or ()
-    magnets = [hold.adhesion_n for hold in holds if hold.adhesion_n] if why.weakest == FEET else []
-    pull = f" (magnets of {times * max(magnets) / 1e3:.1f} kN)" if magnets else ""
-    alone = " for that alone" if pull else ""
-    return (
-        f"where {why.cause}, {times:.2f} times what it bears{pull} would do{alone}, or another {why.would_do}"
-    )
+def _remedy(some: Sequence[Rejection]) -> str:
+    """What would take away a reason, rounded up, so that it does; of feet what many stances ask at least."""
+    each = sorted(some, key=lambda each: each.excess)
+    first, half = each[0], each[len(each) // 2].excess
+    if first.weakest == FEET:
+        # What the least asks others ask again: feet that bear a little more seldom help.
+        asks = f"half of {counted(len(each), 'stance')} ask at least {half:.2f} times what it bears"
+        return f"where {first.cause}, {asks} for that alone"
+    times = f"{first.excess + 0.005:.2f} times what it bears"
+    return f"where {first.cause}, {times} would do, or another start with return: start"
 
 
 def stand(
@@ -333,11 +335,9 @@ class _Stand:
         )
         found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
-        for number, each in enumerate(self._of):
+        for number in range(len(self._of)):
             if not np.isfinite(bound[number]).any():
-                within = np.asarray(found.within_reach[each].all(axis=0))
-                tasks = [self._tasks[k] for k in each]
-                raise _unreached(self._scene, number, tasks, self._candidates, within, self._unheld, limit)
+                raise self._unreached(number, found)
         done, excluded = dict[frozenset[int], StanceRanking](), set[frozenset[int]]()
         while groups := fewest_groups(bound, excluded):
             for number, group in enumerate(groups, start=1):
@@ -421,6 +421,52 @@ class _Stand:
             sag_limit=self._limit,
         )
 
+    def _feet_asked(self, found: Screening, strokes: Sequence[int]) -> str:
+        """What strokes ask of feet at least, where they are too weak in all stances; else empty."""
+        screener, unbound = self._screener, np.isinf(found.bound[strokes]).any(axis=0)
+        weak = np.asarray(found.within_reach[strokes].all(axis=0) & unbound)
+        weak[[k for k, why in self._unheld.items() if why.weakest != FEET]] = False
+        if not (weak.any() and screener.loads.bounded):
+            return ""
+        numbers = np.flatnonzero(weak).tolist()
+        least, best = screener.least_use([self._tasks[k] for k in strokes], numbers)
+        if not 1 < least < np.inf:
+            return ""
+        foot, times = screener.loads.weakest_foot(best), ceil(100 * least) / 100
+        pull, most = times * (foot.adhesion or 0.0), foot.most_adhesion
+        beyond = f", where none pulls more than {most / 1e3:.1f} kN" * (pull > most)
+        magnets = f" (magnets of {pull / 1e3:.1f} kN{beyond})" * (pull > 0)
+        return (
+            f"the whole job asks at least {times:.2f} times what feet bear{magnets} in the best of "
+            f"{counted(len(numbers), 'stance')} in which they are too weak (estimate, without obstacles)"
+        )
+
+    def _unreached(self, number: int, found: Screening) -> PlanningError:
+        """The error of a stroke that no stance reaches, with what `cmbot check` says of the nearest one."""
+        scene, candidates, own, limit = self._scene, self._candidates, self._of[number], self._limit
+        within = np.asarray(found.within_reach[own].all(axis=0))
+        points = np.vstack([self._tasks[k].path.outline() for k in own])
+        bases = np.array([candidate.base[:3, 3] for candidate in candidates])
+        away = np.linalg.norm(points[:, None] - bases, axis=2).max(axis=0)
+        nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
+        most = "" if limit is None else f" that sags at most {limit.most_mm:.3g} mm ({limit.source})"
+        causes = Counter(why.cause for k, why in self._unheld.items() if within[k])
+        rest = int(within.sum()) - causes.total()
+        kinds = {"out of reach": (~within).sum(), f"in which no posture was found{most}": rest}
+        kinds |= {f"in which {cause}": number for cause, number in causes.most_common()}
+        counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
+        name = str(scene.strokes[number].name)
+        error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
+        checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None)).warnings
+        got = [warning.got for warning in checked if warning.key.startswith("tool_path")][:1]
+        joints = [why for why in self._unheld.values() if why.weakest != FEET]
+        hints = [self._feet_asked(found, own)]
+        hints += [f"in the nearest one, {nearest.place}, {each}" for each in got]
+        hints += [_remedy(joints)] if joints else []
+        for hint in filter(None, hints):
+            error.add_hint(hint)
+        return error
+
     def _screened(self, k: int, found: Screening, strokes: Sequence[int]) -> StanceResult:
         """What the screening says of a candidate for some strokes."""
         candidate, within = self._candidates[k], bool(found.within_reach[strokes, k].all())
@@ -455,38 +501,6 @@ def _own(scenes: Sequence[Scene]) -> dict[AnyCandidate, FloatArray | None]:
         for candidate, posture in each
         if candidate is not None
     }
-
-
-def _unreached(
-    scene: Scene,
-    number: int,
-    tasks: Sequence[ToolTask],
-    candidates: Sequence[AnyCandidate],
-    within: BoolArray,
-    unheld: Mapping[int, Rejection],
-    limit: SagLimit | None,
-) -> PlanningError:
-    """The error of a stroke that no stance reaches, with what `cmbot check` says of it in the nearest one."""
-    points = np.vstack([task.path.outline() for task in tasks])
-    bases = np.array([candidate.base[:3, 3] for candidate in candidates])
-    away = np.linalg.norm(points[:, None] - bases, axis=2).max(axis=0)
-    nearest = candidates[min(range(len(candidates)), key=lambda k: (not within[k], away[k]))]
-    name = str(scene.strokes[number].name)
-    most = "" if limit is None else f" that sags at most {limit.most_mm:.3g} mm ({limit.source})"
-    causes = Counter(why.cause for k, why in unheld.items() if within[k])
-    rest = int(within.sum()) - causes.total()
-    kinds = {"out of reach": (~within).sum(), f"in which no posture was found{most}": rest}
-    kinds |= {f"in which {cause}": number for cause, number in causes.most_common()}
-    counts = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
-    error = PlanningError(f"no stance of {len(candidates)} is left for stroke {name}: {counts}")
-    checked = precheck_scene(scene_at(with_strokes(scene, {number}, scene.name), nearest, None))
-    for warning in checked.warnings:
-        if warning.key.startswith("tool_path"):
-            error.add_hint(f"in the nearest one, {nearest.place}, {warning.got}")
-            break
-    if causes:
-        error.add_hint(_remedy(min(unheld.values(), key=lambda each: each.excess), scene))
-    return error
 
 
 def require_planned(rankings: Sequence[StanceRanking]) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -98,9 +99,13 @@ class Screener:
     @cached_property
     def away(self) -> FloatArray:
         """`FIGURES` (8, C) at rest in the posture in which the arm is put away."""
-        posture = np.array(put_away(self._scene).posture)
-        q = np.tile(posture, (len(self._bases), 1))
-        return self.arm.figures(q, np.arange(len(q)), self.loads)
+        return self.arm.figures(*self._put_away, self.loads)
+
+    @cached_property
+    def _put_away(self) -> tuple[FloatArray, IntArray]:
+        """The posture in which the arm is put away, for each candidate, and their numbers."""
+        every = np.arange(len(self._bases))
+        return np.tile(np.array(put_away(self._scene).posture), (len(every), 1)), every
 
     @property
     def least(self) -> FloatArray:
@@ -130,15 +135,34 @@ class Screener:
         """
         if not self.loads.bounded:
             return {}
-        posture, robot = np.array(put_away(self._scene).posture), self.arm.robot
-        q, every = np.tile(posture, (len(self._bases), 1)), np.arange(len(self._bases))
-        use, names = self.arm.use(q, every, self.loads), [*robot.joints, FEET]
+        robot = self.arm.robot
+        use, names = self.arm.use(*self._put_away, self.loads), [*robot.joints, FEET]
         name = "stow" if STOW in robot.group_states and self._scene.return_to != "start" else "start"
         weakest = [names[which] for which in use.argmax(axis=1)]
         return {
             k: Rejection.unheld(cannot_hold(weakest[k], name), float(use[k].max()), weakest[k])
             for k in np.flatnonzero(use.max(axis=1) > 1).tolist()
         }
+
+    def least_use(self, tasks: Sequence[ToolTask], numbers: Sequence[int]) -> tuple[float, int]:
+        """Return what share of what feet bear the job asks in the best of some candidates, and its number.
+
+        An estimate, with the arm put away and at work, without obstacles; infinite where no posture is found.
+        """
+        loads, number, least = self.loads.by_use(), np.array(numbers, dtype=np.intp), np.inf
+        asked = self.arm.use(*self._put_away, self.loads)[number, -1]
+        order = np.argsort(asked, kind="stable")
+        for first in range(0, len(number), _PROMISING_STANCES):
+            # The job asks no less than to put the arm away: where that is too much, no posture is sought.
+            some = order[first : first + _PROMISING_STANCES]
+            for task, k in product(tasks, range(VIA_POINTS)):
+                if len(some := some[asked[some] < least]):
+                    at, time = number[some], times_of(task)[k]
+                    use = self.arm.least(task, time, self._bases[at], loads, at, CLOSELY)[0]
+                    asked[some] = np.maximum(asked[some], use)
+            least = min(least, asked[some].min(initial=np.inf))
+        best = int(asked.argmin())
+        return float(asked[best]), int(number[best])
 
     def screened(
         self,

@@ -173,6 +173,11 @@ class Ending:
         """Give charts a larger share of what is left from now on."""
         self._more *= _MORE_TIME
 
+    def spent(self) -> float:
+        """Return which share of its time is over; 0 where none was given."""
+        over = monotonic() - self._began
+        return over / (over + max(self.left(), _MIN_SECONDS))
+
     def left(self) -> float:
         """Return what is left of the time, s."""
         now = monotonic()
@@ -195,8 +200,6 @@ class Rejection:
         That without what it has to do with this stance alone: the same for many.
     excess : float
         By what factor a bound is exceeded; infinite where it is none.
-    would_do : str
-        What else would take the cause away than a bound that is wider by that factor; empty where unknown.
     weakest : str
         Whose bound that is where the arm cannot be put away: a joint, or `FEET`; else empty.
     """
@@ -205,7 +208,6 @@ class Rejection:
     reason: str
     cause: str
     excess: float = np.inf
-    would_do: str = ""
     weakest: str = ""
 
     @staticmethod
@@ -213,8 +215,8 @@ class Rejection:
         cause: str, use: float, weakest: str, *, kind: Status = "blocked", said: str = ""
     ) -> Rejection:
         """Return that of an arm that cannot be put away, as that takes `use` times what `weakest` bears."""
-        reason, other = f"{said or cause}, {use:.2f} times what it bears", "start with return: start"
-        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, would_do=other, weakest=weakest)
+        reason = f"{said or cause}, {use:.2f} times what it bears"
+        return Rejection(kind=kind, reason=reason, cause=cause, excess=use, weakest=weakest)
 
     @staticmethod
     def of(kind: Status, error: CmbotError) -> Rejection:
@@ -439,7 +441,8 @@ class _Search:
         if self._done[stage.name] + sum(other is stage for _, other, _ in judged) >= stage.most:
             return
         share = self._planned / self._wanted if last else self._done[stage.name] / stage.most
-        self._progress(stage.step, min(share, 1.0))
+        # Where none is found, time goes by all the same.
+        self._progress(stage.step, min(max(share, self._ending.spent()), 1.0))
         if last and self._ending.hastens:
             self._ending.hasten(_HASTENED_S)
             self._tried += 1

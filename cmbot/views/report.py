@@ -27,6 +27,7 @@ from cmbot.planning import (
     left_out,
     load_point,
     load_rows,
+    notes,
     promised,
     promises,
     remarks,
@@ -521,8 +522,10 @@ def promised_state(plan: Plan, tracking: Tracking | None) -> tuple[State, str]:
         left.append("The tolerance of the tool is not kept.")
     if missing := left_out(plan):
         left.append(f"Of the surface {missing}.")
+    # The verdict says that no magnet bears what the feet need, of which nothing is promised.
+    is_open = any(note.key == "unknown_hold" and note.values.get("beyond_magnets") for note in notes(plan))
     first = " ".join(filter(None, [promises(plan), *left]))
-    return "bad" if not kept else "worse" if any(left) else "good", first
+    return "bad" if not kept else "worse" if is_open or any(left) else "good", first
 
 
 def _card(headline: Headline) -> str:

@@ -67,6 +67,7 @@ def test_a_frame_of_the_scene_is_located_where_it_was(
     assert " is 7.00 mm and 0.000 deg from " in outcome.out
     blocks = read_yaml(tmp_path / "touched.location.yaml", SceneError)
     assert 0 < blocks["uncertainty"]["workpiece"]["mm"] < 1
+    assert f"uncertainty: {{workpiece: {{mm: {blocks['uncertainty']['workpiece']['mm']}, deg: " in outcome.out
     # Points in W, taken for points in the frame, are far away.
     for touch in sheet["touches"]:
         touch["point"] = touch["place"]

@@ -150,7 +150,7 @@ def test_the_answer_is_what_was_measured(short_tracking: Tracking) -> None:
         "tool off its path as simulated, at most": pytest.approx(
             [x.max() for x in norms["path_error"]], abs=1e-3
         ),
-        "tool swings after the stop": pytest.approx(swings, abs=1e-3),
+        "tool swings after the work": pytest.approx(swings, abs=1e-3),
     }
     (first, *_), *_ = tracking_summary(short_tracking, compensated=True)
     assert first == "tool sags beyond what was foreseen, mean"

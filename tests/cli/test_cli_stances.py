@@ -40,7 +40,9 @@ def test_it_writes_the_table_the_page_and_the_scene(stood: tuple[Path, Outcome])
     assert f"{len(rows)} stances: " in outcome.out
     best = cmbot.load_scene(folder / "out" / "best.yaml")
     first, _, *blocks = (folder / "out" / "best.yaml").read_text().splitlines()
-    assert first == "# Written by cmbot stand: the scene in a stance."
+    unplanned = "not planned, so that cmbot plan may fail."
+    assert first == f"# Written by cmbot stand: the scene in a stance that was {unplanned}"
+    assert f"Stances, {unplanned.removesuffix('.')}: bounds (estimates)\n" in outcome.out
     assert {"name: short_stance", "planner:", "  objective: hold"} <= {*blocks}
     assert best.planner.objective == "hold"
     figures = json.loads((folder / "out" / "stances.json").read_text())["figures"]
@@ -60,6 +62,9 @@ def test_every_row_that_is_printed_and_may_be_stowed_is_a_scene(job: Path) -> No
         assert (out / files[rank]).is_file() == judged
         if not judged:
             continue
+        was = "planned" if row["status"] == "planned" else "not planned, so that cmbot plan may fail"
+        first = (out / files[rank]).read_text().partition("\n")[0]
+        assert first == f"# Written by cmbot stand: the scene in a stance that was {was}."
         scene = cmbot.load_scene(out / files[rank])
         if scene.stance is not None:  # else that of the scene, at the origin
             climbing = [float(row[f"climb_{k}_deg"]) for k in range(1, 6)]
@@ -142,7 +147,7 @@ def test_where_the_time_is_over_the_error_has_the_next_command(
     assert outcome.status == 3
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
     waiting = sum(row["status"] == "screened" for row in rows)
-    assert f"for want of time: {waiting}, {waiting} of them only screened, first " in outcome.err
+    assert f"for want of time: {waiting}, {waiting} of them only screened; first " in outcome.err
     assert f"cmbot plan {out / 'stance_1.yaml'} judges the first" in outcome.err
     assert cmbot.load_scene(out / "stance_1.yaml").robot == cmbot.load_scene(job).robot
 

@@ -189,3 +189,6 @@ def test_corners_that_are_proposed_tell_more_than_those_that_are_not() -> None:
     assert turn(expected) <= turn(expected_covariance(worst, middle))
     with pytest.raises(InputError, match="workpiece: true"):
         features_to_touch(short_scene(), 3)
+    # A bed that is sanded from above is touched there.
+    bed, _ = features_to_touch(cmbot.load_scene("panda_sanding"), 8)
+    assert [corner.point[2] for corner in bed] == pytest.approx([0.23] * 4)

@@ -55,9 +55,7 @@ def test_all_or_nothing_is_asked_for() -> None:
     scene = rows(BOLT, cover="all")
     assert reached(scene) is scene
     wall = {"name": "wall", "box": [0.05, 3, 3], "xyz": [1.5, 0.4, -2.05]}
-    words = (
-        r"no place of the raster of work is reached: it is blocked at .*, at best .* wall, the safety margin"
-    )
+    words = r"no place of tool_path.raster is reached: blocked at .*, at best .* wall, the safety margin"
     with pytest.raises(PathNotFound, match=words):
         reached(rows(wall))
 
@@ -66,7 +64,8 @@ def test_what_the_feet_would_need_is_said_where_nothing_is_reached() -> None:
     """As `cmbot check` says it: a magnet of 500 N holds no arm of 80 kg."""
     scene = load_scene(rows().as_data() | {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 500}}})
     with pytest.raises(
-        PathNotFound, match=r"is blocked at .*, at best a foot uses \d{3,}% of its hold; "
+        PathNotFound,
+        match=r"reached: blocked at .*, at best a foot uses \d{3,}% of its hold \(adhesion_n\); no magnet",
     ) as caught:
         plan(scene, progress=False)
     used = re.findall(r"a foot uses \d+%", str(caught.value))

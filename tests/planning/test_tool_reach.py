@@ -4,6 +4,7 @@ By the length of the stretched arm, and by its joint ranges and obstacles.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -267,11 +268,17 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach
         plan(scene, progress=False)
     assert "seconds" not in str(caught.value)
     # It is tried what less to keep would do, and told what does.
-    assert caught.value.reason.endswith(
-        "; with tool_path.keep position, by which the tool may turn, every place has a posture"
+    moved, kept = caught.value.reason.rpartition("; ")[2].split(", or ")
+    assert kept == "with tool_path.keep position, by which the tool may turn, every place has a posture"
+    by = np.array(
+        re.fullmatch(r"moved by \((.*)\) m the path is within reach, .*", moved)[1].split(","), float
     )
+    places = task.goals(places_along(request_of(scene)))
+    assert worst_missed(robot, task, replace(places, point=places.point + by), scene.posture) is None
     task = ToolTask.of(stroke.path, "position")
     assert worst_missed(robot, task, task.goals(places_along(request_of(scene))), scene.posture) is None
+    # The line of the file is that which cmbot check names.
+    assert str(caught.value).startswith("line 1: no path beyond t = ")
     assert any(
         "1 of " in warning.got and "out of reach" in warning.got for warning in precheck_scene(scene).warnings
     )

@@ -80,7 +80,7 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
     assert [each.status for each in ranking.ranked] == ["not judged"] * 2 + ["screened"]
     assert ranking.best_unplanned == 100.0
     closest = (
-        "not judged to the end for want of time: 3, 1 of them only screened, first place 0, by its bound "
+        "not judged to the end for want of time: 3, 1 of them only screened; first place 0, by its bound "
         "100 Nm; a longer --time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
     )
     said = [*in_words(ranking)]

@@ -78,6 +78,8 @@ def test_verdict_and_curve_say_where_the_bent_tool_leaves_its_path(
     short_plan: Plan, short_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
 ) -> None:
     plan, compensated = without_shapes(short_plan), without_shapes(compensated_short[0])
+    # Of feet, whose hold is not promised, nothing is said.
+    compensated = replace(compensated, robot=replace(compensated.robot, feet=()))
     page = compare_page({"bent": plan, "straight": compensated}, {"bent": short_tracking})
     simulated = short_tracking.planned
     off = f"{1e3 * simulated.largest_off_path:.2f} mm off its path"

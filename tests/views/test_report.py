@@ -14,7 +14,7 @@ import cmbot
 from cmbot.common.errors import InputError
 from cmbot.common.limit import Limit
 from cmbot.elastic import elastic_base
-from cmbot.planning import Certificate, Choice, Plan, bound_use, remarks
+from cmbot.planning import Certificate, Choice, Plan, bound_use, remarks, verdict
 from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.toolpath import Coverage
 from cmbot.views import compare_page, pages, report_page
@@ -107,9 +107,13 @@ def test_the_banner_is_green_only_where_the_bent_tool_keeps_its_margin_too(
     said = f"Simulated, the bent tool is {off}, beyond the margin of 0.2 mm."
     assert tracking_verdict(triangle_plan, triangle_tracking).startswith("Not within the margin")
     assert f'<details class="verdict worse" open><summary>{kept} {said}</b>' in text
-    assert f'<details class="verdict good" open><summary>{kept}</b>' in report_page(triangle_plan)
     assert tracking_verdict(*compensated_short).startswith("Within the margin")
-    assert '<details class="verdict good" open>' in report_page(*compensated_short)
+    # Nor where no magnet holds the feet, of which nothing is promised.
+    plan, tracking = compensated_short
+    assert "beyond any magnet" in verdict(plan)
+    assert f'<details class="verdict worse" open><summary>{kept}</b>' in report_page(plan, tracking)
+    footless = replace(plan, robot=replace(plan.robot, feet=()))
+    assert '<details class="verdict good" open>' in report_page(footless, tracking)
 
 
 def test_the_banner_tells_what_of_a_raster_is_not_reached(triangle_plan: Plan) -> None:

@@ -163,11 +163,11 @@ def lines_named(path: str | Path) -> Iterator[None]:
 def name_line(error: InputError, path: str | Path) -> None:
     """Add to an error that names a key of a YAML file the line of that key: see `lines_named`."""
     if error.source == str(path) and error.key and error.line is None:
-        error.set_line(_line_of(Path(path), error.key))
+        error.set_line(line_of(Path(path), error.key))
 
 
-def _line_of(path: Path, key: str) -> int | None:
-    """The line of a key in a file, or of the block in which it is missing; None where neither is found."""
+def line_of(path: Path, key: str) -> int | None:
+    """Return the line of a key in a file, or of the block in which it is missing; None without either."""
     try:
         document = _Document(_read_text(path, str(path), InputError), str(path), InputError)
         document.read()

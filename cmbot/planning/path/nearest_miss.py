@@ -20,6 +20,8 @@ from cmbot.scene import AxisCone, Keep
 # stroke, and of all together, and at least; as many ends of legs come on top.
 _PLACE_DISTANCE_M, _MIN_LEG_STEPS = 0.05, 4
 _MAX_STROKE_PLACES, _ALL_PLACES, _MIN_PLACES = 64, 480, 6
+# By how many times what is missing a path is moved.
+_MORE_MOVED = 1.1
 # A margin of zero has no shares.
 _MIN_MARGIN_M = 1e-9
 
@@ -88,13 +90,28 @@ class NearestMiss:
 
     def remedy(self) -> str:
         """Return what was tried and has a posture for every place; empty where nothing does."""
+        each = [*self._moved()]
         for keep in less_kept(self.request.stroke.file.keep):
             task = ToolTask.of(self.request.task.path, keep)
             other = replace(self.request, task=task)
             if _worst(other, self.times, is_clear=self.is_clear) is None:
                 key = f"{self.request.stroke.key}.keep"
-                return f"with {key} {keep}, by which the tool may turn, every place has a posture"
-        return ""
+                each.append(f"with {key} {keep}, by which the tool may turn, every place has a posture")
+                break
+        return ", or ".join(each)
+
+    def _moved(self) -> Iterator[str]:
+        """Yield by how much the path may be moved to where the nearest posture has the tool, if that does."""
+        request, there = self.request, self.request.task.goals(self.times)
+        if self.missed.is_held or request.cell.robot.fixed_tool is not None:
+            return
+        tool = request.cell.postures.tool_at(self.missed.best[None]).tool_point[0]
+        # As it is told.
+        by = np.round(_MORE_MOVED * (tool - there.point[self.missed.place]), 3) + 0.0
+        moved = replace(there, point=there.point + by)
+        if worst_missed(request.cell.robot, request.task, moved, request.state.posture) is None:
+            how = ", ".join(f"{x:.3f}" for x in by)
+            yield f"moved by ({how}) m the path is within reach, obstacles aside"
 
     @property
     def pair(self) -> tuple[str, str] | None:
@@ -122,7 +139,11 @@ class NearestMiss:
         """What the best posture that was found lacks."""
         cell, best = self.request.cell, self.missed.best[None]
         if joint := self._weakest:
-            return f"{joint} uses {self._use:.0%} of its {'hold' if joint == FEET else 'torque'}"
+            limit, holding = "torque", cell.robot.holding
+            if joint == FEET and holding is not None:
+                use = holding.most_used(cell.postures.at(best).guardrail_wrench)
+                limit = f"hold ({use.bound}{'' if use.bound == 'adhesion_n' else f'[{use.axis}]'})"
+            return f"{joint} uses {self._use:.0%} of its {limit}"
         smallest = cell.clearances.query(best)
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)

@@ -80,10 +80,10 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
         return apart
     for k, found in parts.items():
         if not found:
-            reason = f"no place of the raster of {scene.strokes[k].name} is reached"
-            if miss := nearest_miss(at_first[k], is_clear=True):
-                reason = "; ".join(filter(None, (f"{reason}: it is {miss.reason()}", miss.remedy())))
-            raise request.path_not_found(reason, request.state.posture)
+            key = f"{at_first[k].stroke.key}.raster"
+            miss = nearest_miss(at_first[k], is_clear=True)
+            reason = f"no place of {key} is reached{f': {miss.reason()}' if miss else ''}"
+            raise request.path_not_found(reason, request.state.posture, key=key)
     changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
     return scene.with_cells({k: parts[k] for k in changed}, whole)
 

@@ -130,6 +130,7 @@ def _holds(plan: Plan) -> Iterator[Note]:
         values["asked"] = holding.magnets_asked(needed)
         values["closed_kn"] = needed.closed / 1e3 if more else None
         values["pressure_mpa"] = needed.peak / (1e6 * foot.contact.area) if foot.contact else 0.0
+        values["beyond_magnets"] = needed.peak > foot.most_adhesion > 0
         if foot.adhesion is not None:
             less = (1 - _ADHESION_LOSS_SHARE) * foot.adhesion
             holds = "with safety" if less >= foot.safety * needed.peak else "without safety"

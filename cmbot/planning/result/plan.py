@@ -127,6 +127,13 @@ class Plan(StrokePlan):
     def __repr__(self) -> str:
         return f"<Plan {self.scene.name}: {self._in_words}>"
 
+    def __str__(self) -> str:
+        """Return what is shown first: the `summary`, and at most five sentences."""
+        # They are told of what is planned, so they stand above.
+        from cmbot.planning.result.words import first_remarks
+
+        return "\n".join([self.summary(), *first_remarks(self)])
+
     def _repr_html_(self) -> str:
         """Card in a notebook."""
         return card(f"Plan of {self.scene.name}", self._in_words, self.rows(first=True), self.headings)

@@ -11,7 +11,6 @@ import numpy as np
 
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
-from cmbot.hold import MAGNET_PRESSURE
 from cmbot.planning.certification.check import Check
 from cmbot.planning.result.judgement import SAME, bound_use
 from cmbot.planning.result.notes import Note, notes
@@ -137,7 +136,7 @@ def _tool(note: Any) -> str:
 
 def _needed(note: Any) -> str:
     # What no magnet has is not told by its size.
-    after = ", beyond any magnet" if 1e6 * note.pressure_mpa > MAGNET_PRESSURE else f": {note.asked}"
+    after = ", beyond any magnet" if note.beyond_magnets else f": {note.asked}"
     same = note.closed_kn is None or round(note.closed_kn, 2) == round(note.needed_kn, 2)
     closed = "" if same else f" ({note.closed_kn:.2f} kN with gap: none)"
     return f"an adhesion of {note.needed_kn:.2f} kN ({note.mode}), {note.pressure_mpa:.2f} MPa{closed}{after}"

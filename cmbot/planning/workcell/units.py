@@ -1,4 +1,4 @@
-"""Units that may have been mistaken: degrees and radians of the start, millimetres of obstacles."""
+"""Units that may have been mistaken: degrees and radians of start and lean, millimetres, and others."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ _MILLIMETRE = 1e-3
 _SOFTEST_N_M = 1e4
 # No magnet for a robot pulls less, and no clamp holds less, N.
 _LEAST_HOLD_N = 100.0
+# No tip that may touch is so short, mm, no lean so small, deg, and no arm's tool faster than that, m/s.
+_SHORTEST_TIP_MM, _LEAST_LEAN_DEG, _FASTEST_M_S = 0.5, 1.0, 10.0
 
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -49,7 +51,18 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
         for name, most in (("adhesion_n", hold.adhesion_n), ("force_n", hold.force_n and max(hold.force_n))):
             if most is not None and most < _LEAST_HOLD_N:
                 yield f"{block}.hold.{name}", "kN", "N"
-    fixed = scene.tool.fixed
+    tool, fixed = scene.tool, scene.tool.fixed
+    if 0 < tool.contact_mm < _SHORTEST_TIP_MM:
+        yield "tool.contact_mm", "metres", "mm"
+    speeds = {"tool.max_speed_m_s": tool.max_speed_m_s}
+    for number, stroke in enumerate(scene.strokes):
+        key = scene.stroke_key(number)
+        speeds |= {f"{key}.speed_m_s": stroke.speed_m_s}
+        speeds |= {f"{key}.legs[{k}].speed_m_s": leg.speed_m_s for k, leg in enumerate(stroke.legs)}
+        lean = None if stroke.raster is None else stroke.raster.lean_deg
+        if lean is not None and 0 < np.abs(lean).max() < _LEAST_LEAN_DEG:
+            yield f"{key}.raster.lean_deg", "radians", "degrees"
+    yield from ((key, "mm/s", "m/s") for key, speed in speeds.items() if speed and speed > _FASTEST_M_S)
     if fixed is not None and np.abs(fixed.xyz).max() > _VAST:
         yield "tool.fixed.xyz", "millimetres", "metres"
     for obstacle in _own(scene):

@@ -198,7 +198,7 @@ def test_the_largest_swing_of_all_strokes_is_told(strokes_plan: Plan) -> None:
     share = strokes_plan.options.quiet_stiffness_share
     swings = [stroke_sway(arm, each.trajectory, share).largest[1] for each in strokes_plan.job.strokes]
     assert (
-        row(strokes_plan, f"tool swings after the stop, stiffness ±{100 * share:g} %")[-1]
+        row(strokes_plan, f"tool swings after the work, stiffness ±{100 * share:g} %")[-1]
         == f"{1e3 * max(swings):.3f}"
     )
 
@@ -209,7 +209,7 @@ def test_the_baseline_sways_as_it_does_simulated(triangle_plan: Plan, triangle_t
     moving = np.linalg.norm(simulated.dynamic[simulated.t < simulated.stop], axis=1).max()
     swinging = pdist(simulated.dynamic[simulated.t >= simulated.stop - 1e-9]).max()
     np.testing.assert_allclose(alike.baseline_sway, (moving, swinging), rtol=0.1)
-    names = ("largest sway at work", "tool swings after the stop")
+    names = ("largest sway at work", "tool swings after the work")
     told = [row(triangle_plan, f"{name}, stiffness ±30 %")[-2] for name in names]
     assert told == [f"{1e3 * each:.3f}" for each in triangle_plan.baseline_sway]
     assert replace(triangle_plan, baseline=None).baseline_sway is None
@@ -225,6 +225,7 @@ def test_what_is_shown_first_is_short_and_begins_with_the_tool(
     assert rows[0][0].startswith("tool off its path" if plan.accuracy else "largest tool deviation")
     assert set(rows) <= set(plan.rows())
     assert plan.summary().count("\n") == len(rows)
+    assert str(plan).splitlines() == [*plan.summary().splitlines(), *sentences]
     base = f"The {plan.scene.base_name} must bear"
     order = "The tool is", "Hold:", base, "Free moves take ", "With "
     begun = [

@@ -14,11 +14,14 @@ import cmbot
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import shipped_scenes
 from cmbot.planning import precheck_scene, robot_of
-from cmbot.planning.workcell.units import require_metres
+from cmbot.planning.workcell.units import mistaken_units, require_metres
 
 TABLE = {"name": "table", "box": [1000, 800, 60], "xyz": [1800, 700, -2700]}
 WALL = {"name": "wall", "box": [20, 0.3, 5], "xyz": [0, 60, 0]}
 DECK = {"name": "deck", "box": [40, 9, 5], "xyz": [0, 0, 20]}
+
+
+ROWS = {"origin": [1.7, 0, -2.1], "u": [0.3, 0, 0], "v": [0, 0.1, 0], "spacing_m": 0.1, "stand_off_m": 0.1}
 
 
 def with_obstacle(**changes: Any) -> dict[str, Any]:
@@ -46,6 +49,30 @@ def test_what_is_near_as_millimetres_and_far_as_given_is_refused(
     assert ": obstacles[0]: got " in line
     assert "millimetres" in line
     assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("path", "tool", "suspected"),
+    [
+        ({"raster": {**ROWS, "lean_deg": [0, 15]}, "speed_m_s": 0.05}, {"contact_mm": 60}, {}),
+        ({"raster": ROWS, "speed_m_s": 0.05}, {"contact_mm": 0.06}, {"tool.contact_mm": "metres"}),
+        (
+            {"raster": {**ROWS, "lean_deg": [0, 0.26]}, "speed_m_s": 50},
+            {},
+            {"tool_path.raster.lean_deg": "radians", "tool_path.speed_m_s": "mm/s"},
+        ),
+        (
+            {"legs": [{"by": [0, 0.1, 0], "speed_m_s": 50}]},
+            {"max_speed_m_s": 90},
+            {"tool.max_speed_m_s": "mm/s", "tool_path.legs[0].speed_m_s": "mm/s"},
+        ),
+    ],
+)
+def test_units_of_tool_and_path_are_suspected(
+    path: dict[str, Any], tool: dict[str, Any], suspected: dict[str, str]
+) -> None:
+    scene = cmbot.load_scene({**SHORT, "tool_path": path, "tool": tool})
+    assert {key: looks for key, looks, _ in mistaken_units(scene)} == suspected
 
 
 def test_following_the_advice_leads_to_a_scene_without_a_warning() -> None:
