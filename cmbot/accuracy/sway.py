@@ -94,7 +94,8 @@ def sway_along(
     q = motion(knots, 0)
     at = linearised(arm, q)
     modes = arm_modes(arm, q[count // 2])
-    D = modes.damping(damping) + arm.damping
+    modal = modes.damping(damping)
+    D = modal + arm.damping
     period = 1.0 / float(modes.frequencies[0])
     number = int(np.clip(np.ceil(duration / period * steps), 2 * count, _MAX_TIME_STEPS))
     t = np.linspace(0.0, duration, number + 1)
@@ -116,7 +117,9 @@ def sway_along(
         set_in = arm.robot.force_share(arm.robot.tool_ramp - t[1] * np.arange(before, 0, -1))
         loads = np.concatenate([(1 - set_in)[:, None] * lacks, loads])
         at_time = np.concatenate([np.zeros(before, dtype=np.intp), place])
-    w = newmark(M, D, K, loads[:, None], at_time[:, None], float(t[1]), start)[0][before:]
+    # Modes keep their ratio: their frequencies go with the root of the stiffness.
+    each = np.sqrt(factors)[:, None, None] * modal + arm.damping
+    w = newmark(M, each, K, loads[:, None], at_time[:, None], float(t[1]), start)[0][before:]
     lever = (1 - share) * at.lever[place] + share * at.lever[place + 1]
     return Sway(t=t, tool=(w[:, 0] @ lever.transpose(0, 2, 1)).transpose(1, 0, 2))
 
