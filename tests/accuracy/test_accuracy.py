@@ -170,12 +170,13 @@ def test_a_force_that_sets_in_swings_the_tool(arm: ElasticArm, q: FloatArray, ra
     assert not sway_along(pushed, still, seconds, ratio, factors).tool.any()
     sway = sway_along(pushed, still, seconds, ratio, factors, steps=500, sets_in=True)
     coarse = sway_along(pushed, still, seconds, ratio, factors, sets_in=True)
-    damping = arm_modes(pushed, q[0]).damping(ratio) + arm.damping
+    modal = arm_modes(pushed, q[0]).damping(ratio)
     for factor, tool, rough in zip(factors, sway.tool, coarse.tool, strict=True):
         softer = replace(pushed, stiffness=factor * arm.stiffness)
-        system = ElasticSystem.of(softer, damping)
+        # The ratio is kept: frequencies go with the root of the stiffness.
+        system = ElasticSystem.of(softer, np.sqrt(factor) * modal + arm.damping)
         integrator = GeneralizedAlpha(system, step=2e-4, rho_inf=1.0, corrections=2)
-        start, rate = Sag(softer.tool_off).equilibria(q[:1])[0][0], np.zeros(len(damping))
+        start, rate = Sag(softer.tool_off).equilibria(q[:1])[0][0], np.zeros(len(modal))
         held = QuinticTrajectory.held(q[0], seconds)
         if ramp:
             held_before = QuinticTrajectory.held(q[0], ramp)
@@ -188,7 +189,7 @@ def test_a_force_that_sets_in_swings_the_tool(arm: ElasticArm, q: FloatArray, ra
         most = np.linalg.norm(points - rest, axis=1).max()
         assert most > 1e-4
         assert np.linalg.norm(rough, axis=1).max() == pytest.approx(most, rel=0.05)
-        assert np.abs(own - (points - rest)).max() < 0.03 * most
+        assert np.abs(own - (points - rest)).max() < 0.015 * most
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
