@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
@@ -13,7 +13,7 @@ from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.timing.law_search import Bounded, shortest_law
+from cmbot.planning.timing.law_search import Bounded, LawSearch, promised_seconds, shortest_laws
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE
 from cmbot.toolpath import Curve, LegLaw
@@ -50,30 +50,6 @@ class LegPath:
     leg: int
     q: BSpline
     segments: int
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RoughLaw:
-    """A law of half the phases.
-
-    Attributes
-    ----------
-    path : LegPath
-    bounded : list of Bounded
-        What bounds a motion along it.
-    phases : int
-        K, of a law that splines follow.
-    jerk : (K // 2 + 1,)
-        At the nodes, by shares of time.
-    seconds : float
-        How long it takes.
-    """
-
-    path: LegPath
-    bounded: list[Bounded]
-    phases: int
-    jerk: FloatArray
-    seconds: float
 
 
 def leg_paths(
@@ -159,34 +135,59 @@ def bounds_along(
     return bounded
 
 
-def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[RoughLaw]:
-    """Yield laws of few phases along joint paths within a request's limits, in which others are sought.
+def shortest_laws_along(
+    request: StrokeRequest, paths: Sequence[LegPath], known: Sequence[LegLaw] = ()
+) -> tuple[LegLaw, ...]:
+    """Return the shortest laws along joint paths within a request's limits.
+
+    They are sought from laws of half the phases, and from those that are known.
 
     Raises
     ------
     LimitViolation
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
-    task = request.task
-    max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
-    for each in paths:
+    laws, rough, fine = {law.leg: law for law in known}, list[LawSearch](), list[LawSearch]()
+    for each, bounded in zip(paths, bounds_of(request, paths), strict=True):
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
-        bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        jerk, seconds = shortest_law(bounded, phases // 2 if phases >= 2 * each.segments else phases)
+        before = laws.get(each.leg)
+        starts = [] if before is None or len(before.seconds) != phases else [_nodes(before)]
+        fine.append(LawSearch(bounded=bounded, phases=phases, known=starts))
+        half = phases // 2 if phases >= 2 * each.segments else phases
+        rough.append(LawSearch(bounded=bounded, phases=half))
+    for k, (jerk, seconds) in enumerate(shortest_laws(rough)):
         if not np.isfinite(seconds):
-            raise _too_heavy(request, each)
-        yield RoughLaw(path=each, bounded=bounded, phases=phases, jerk=jerk, seconds=seconds)
+            raise _too_heavy(request, paths[k])
+        fine[k] = replace(fine[k], known=[jerk, *fine[k].known])
+    return tuple(
+        LegLaw(
+            leg=each.leg,
+            seconds=(seconds / search.phases,) * search.phases,
+            jerk=tuple((jerk / seconds**3).tolist()),
+        )
+        for each, search, (jerk, seconds) in zip(paths, fine, shortest_laws(fine), strict=True)
+    )
 
 
-def shortest_law_of(rough: RoughLaw, known: LegLaw | None) -> LegLaw:
-    """Return the shortest law along a joint path, sought from a rough one and from one that is known."""
-    phases, starts = rough.phases, [rough.jerk]
-    if known is not None and len(known.seconds) == phases:
-        starts.append(np.array(known.jerk) * known.duration**3)
-    jerk, seconds = shortest_law(rough.bounded, phases, starts)
-    each_jerk = tuple(float(x) for x in jerk / seconds**3)
-    return LegLaw(leg=rough.path.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
+def promised_time(request: StrokeRequest, paths: Sequence[LegPath], known: Sequence[LegLaw]) -> float:
+    """Return what laws along joint paths promise to take together, s, by a little search from known ones."""
+    pairs = zip(bounds_of(request, paths), known, strict=True)
+    return promised_seconds(
+        [LawSearch(bounded=each, phases=len(law.seconds), known=[_nodes(law)]) for each, law in pairs]
+    )
+
+
+def bounds_of(request: StrokeRequest, paths: Sequence[LegPath]) -> list[list[Bounded]]:
+    """Return what bounds a motion of a request along each of its joint paths."""
+    task, robot = request.task, request.cell.robot
+    max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
+    return [bounds_along(robot, each.q, max_speed, task.max_base_torque) for each in paths]
+
+
+def _nodes(law: LegLaw) -> FloatArray:
+    """The jerk (K + 1,) at a law's nodes, by shares of time."""
+    return np.array(law.jerk) * law.duration**3
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:

@@ -41,8 +41,8 @@ class Timing:
         Legs on which motions in less time failed.
     reason : str
         Why the first of these failed.
-    rough : float
-        What laws of fewer phases take along the paths, s: by that paths compare.
+    shortest : tuple of LegLaw
+        Those within the limits alone, of times that are sought.
     both : two floats, optional
         Of times that are sought: the shortest within the limits, and the shortest that is quiet, s.
     """
@@ -54,7 +54,7 @@ class Timing:
     factors: FloatArray
     at_fault: BoolArray
     reason: str = ""
-    rough: float = np.inf
+    shortest: tuple[LegLaw, ...] = ()
     both: tuple[float, float] | None = None
 
     @staticmethod
