@@ -207,17 +207,17 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
         return
     request, trajectory = trial.attempt.request, solved.result.work.trajectory
     known = sum(law.duration for law in request.stroke.file.time_laws or ())
-    paths = _paths(trial.attempt, trajectory)
+    least, paths = _WORTHWHILE_TIME_SHARE * known, _paths(trial.attempt, trajectory)
     # A little search costs little, and tells by which share laws are shorter.
     promised = promised_time(request, paths, timing.shortest)
-    if promised / sum(law.duration for law in timing.shortest) > known / timing.seconds:
+    if promised / sum(law.duration for law in timing.shortest) > least / timing.seconds:
         return
     shorter = attempted(request, partial(_timing, trial.attempt, trajectory, paths))
     if not isinstance(shorter, Timing):
         return
     # A little longer than the shortest is shorter than before; where that was needed, it is again.
     for factor in _FASTER[int((timing.factors > 1.0).any()) :]:
-        if factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
+        if factor * shorter.seconds <= least:
             yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), factor)))
 
 
