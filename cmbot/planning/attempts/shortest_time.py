@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.timing.leg_paths import LegPath, bounds_of, leg_paths, promised_time, shortest_laws_along
+from cmbot.planning.timing.leg_paths import RoughLaw, leg_paths, rough_laws, shortest_laws_of
 from cmbot.planning.timing.quiet_laws import shortest_quiet_law
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
@@ -70,9 +69,12 @@ def in_shortest_time(
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
     trajectory = slow.outcome.result.trajectory
-    paths = _paths(slow.attempt, trajectory)
-    timing = attempted(slow.attempt.request, partial(_timing, slow.attempt, trajectory, paths))
-    timed = slow.attempt.in_timing(timing) if isinstance(timing, Timing) else timing
+    rough = _roughly_timed(slow.attempt, trajectory)
+    timed = (
+        slow.attempt.in_timing(_timing(slow.attempt, trajectory, rough))
+        if isinstance(rough, tuple)
+        else rough
+    )
     if not isinstance(timed, Attempt):
         return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
@@ -140,27 +142,32 @@ def _slow_motion(attempt: Attempt) -> Solved[Optimised] | Failure:
     return attempted(request, lambda: Solved(result=optimise(guess.problem))) if strays(found) else found
 
 
-def _paths(before: Attempt, trajectory: QuinticTrajectory) -> tuple[LegPath, ...]:
-    """The joint paths, along a motion, of the legs whose time is sought."""
+def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[RoughLaw, ...] | Failure:
+    """Laws of few phases along the joint path of a motion."""
     request = before.request
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    return leg_paths(request, legs, trajectory)
+    return attempted(request, lambda: rough_laws(request, leg_paths(request, legs, trajectory)))
 
 
-def _timing(before: Attempt, trajectory: QuinticTrajectory, paths: Sequence[LegPath]) -> Timing:
-    """The shortest time along the joint paths of a motion."""
+def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
+    """The shortest time along the joint path of a motion, by laws sought from rough ones."""
     request = before.request
-    shortest = shortest_laws_along(request, paths, request.stroke.file.time_laws or ())
-    timing = replace(Timing.along(request, trajectory, paths, shortest), shortest=shortest)
+    shortest = shortest_laws_of(rough, request.stroke.file.time_laws or ())
+    timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
+    timing = replace(timing, rough=_seconds(rough))
     if request.cell.arm is None:
         return timing
-    along = zip(paths, bounds_of(request, paths), shortest, strict=True)
-    quiet = tuple(shortest_quiet_law(request, *each) for each in along)
+    pairs = zip(rough, shortest, strict=True)
+    quiet = tuple(shortest_quiet_law(request, each.path, each.search.bounded, law) for each, law in pairs)
     laws = quiet if request.stroke.file.speed_profile.kind == "quiet" else shortest
     short, long = (sum(law.duration for law in each) for each in (shortest, quiet))
     return replace(timing, laws=laws, both=(short, long))
+
+
+def _seconds(rough: Sequence[RoughLaw]) -> float:
+    return sum(law.seconds for law in rough)
 
 
 def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
@@ -201,23 +208,20 @@ def _stretched(trial: Trial[Attempt, Any], timing: Timing) -> Iterator[Attempt]:
 
 
 def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
-    """Along the path that was planned last, laws that are shorter still, if they promise to be."""
+    """Along the path that was planned last, laws that are shorter still, if rough ones are."""
     timing, solved = trial.attempt.timing, trial.outcome
-    if timing is None or not timing.shortest or not isinstance(solved, Solved):
+    if timing is None or not isinstance(solved, Solved):
         return
-    request, trajectory = trial.attempt.request, solved.result.work.trajectory
-    known = sum(law.duration for law in request.stroke.file.time_laws or ())
-    least, paths = _WORTHWHILE_TIME_SHARE * known, _paths(trial.attempt, trajectory)
-    # A little search costs little, and tells by which share laws are shorter.
-    promised = promised_time(request, paths, timing.shortest)
-    if promised / sum(law.duration for law in timing.shortest) > least / timing.seconds:
+    known = sum(law.duration for law in trial.attempt.request.stroke.file.time_laws or ())
+    trajectory = solved.result.work.trajectory
+    rough = _roughly_timed(trial.attempt, trajectory)
+    # Rough laws cost little, and tell by which share others are shorter.
+    if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
         return
-    shorter = attempted(request, partial(_timing, trial.attempt, trajectory, paths))
-    if not isinstance(shorter, Timing):
-        return
+    shorter = _timing(trial.attempt, trajectory, rough)
     # A little longer than the shortest is shorter than before; where that was needed, it is again.
     for factor in _FASTER[int((timing.factors > 1.0).any()) :]:
-        if factor * shorter.seconds <= least:
+        if factor * shorter.seconds <= _WORTHWHILE_TIME_SHARE * known:
             yield from _stretched(trial, replace(shorter, factors=np.full(len(shorter.laws), factor)))
 
 

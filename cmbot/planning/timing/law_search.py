@@ -31,10 +31,9 @@ from cmbot.toolpath import TimeLaw
 
 # Points per phase at which the duration is taken, and stretches of each whose worst point a program has.
 _POINTS_PER_PHASE, _ROWS_PER_PHASE = 12, 4
-# Programs at most, from each start before the best goes on, and by whose promise laws are worth a search.
-_MAX_PROGRAMS, _FIRST_PROGRAMS, _PROMISING_PROGRAMS = 60, 8, 2
-# Least gain of a program; the box at first and last, as a share of the largest node.
-_LEAST_GAIN, _BOX, _SMALLEST_BOX = 5e-4, 0.5, 1e-3
+# Programs at most, and from each start before the best goes on; least gain of one; the box at first and last,
+# as a share of the largest node.
+_MAX_PROGRAMS, _FIRST_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 8, 5e-4, 0.5, 1e-3
 # The box shrinks where less than this share of what a program promises is gained, and grows above the other.
 _SHRINK, _EXPAND = 0.1, 0.6
 # A law of so many phases is sought from one of half of them.
@@ -83,10 +82,6 @@ class _Rows:
     moving: FloatArray  # (N, R)
     bound: FloatArray  # (R,)
     weights: FloatArray  # (R, m), or (N, 1, m) for a norm
-
-
-# Costs (k,) and matrix (n, k) of a program dual to one over (step, change of log T).
-_Dual = tuple[FloatArray, FloatArray]
 
 
 class _Nodes:
@@ -163,13 +158,6 @@ def shortest_laws(searches: Sequence[LawSearch]) -> list[tuple[FloatArray, float
     return [(np.concatenate([[0.0], each.nodes, [0.0]]), each.seconds) for each in best]
 
 
-def promised_seconds(searches: Sequence[LawSearch]) -> float:
-    """Return what a few programs from the first known law of each search promise of all durations, s."""
-    descents = [_Descent(_Points(each.phases, each.bounded), each.known[0]) for each in searches]
-    _descend(descents, _PROMISING_PROGRAMS)
-    return float(sum(each.seconds * np.exp(-each.promised) for each in descents))
-
-
 def least_seconds(bounded: Sequence[Bounded], law: TimeLaw) -> float:
     """Return the least duration of a law within bounds, s; infinite where one is exceeded at rest."""
     u = np.linspace(0.0, 1.0, _LAW_POINTS)
@@ -182,17 +170,17 @@ class _Descent:
 
     def __init__(self, points: _Points, jerk: FloatArray) -> None:
         self._points, self._box = points, _BOX
-        self.nodes, self.promised = points.space.like(jerk), 0.0
+        self.nodes = points.space.like(jerk)
         self.seconds = points.seconds(self.nodes)
         self.ended = not np.isfinite(self.seconds)
 
-    def program(self) -> _Dual:
-        """The next program."""
+    def program(self) -> tuple[FloatArray, FloatArray]:
+        """The next program, as of `_Points`."""
         return self._points.program(self.nodes, self.seconds, self._box * np.abs(self.nodes).max())
 
     def take(self, step: FloatArray, promised: float) -> None:
         """Take a step of the nodes that promises so much of log T, if the duration falls."""
-        trial, self.promised = self._points.seconds(self.nodes + step), promised
+        trial = self._points.seconds(self.nodes + step)
         gained = 1 - trial / self.seconds
         if gained < _SHRINK * promised:
             self._box /= 4
@@ -238,8 +226,12 @@ class _Points:
             inverse = min(inverse, float(room.min(initial=np.inf) ** (1 / one.order)))
         return float(1.0 / inverse)
 
-    def program(self, nodes: FloatArray, seconds: float, box: float) -> _Dual:
-        """The linear program of a step of the nodes in a box."""
+    def program(self, nodes: FloatArray, seconds: float, box: float) -> tuple[FloatArray, FloatArray]:
+        """Costs (k,) and matrix (n, k) of the program dual to that of a step which lowers log T most.
+
+        That is over the step (n - 1,) of the nodes, in a box, and the change of log T; the law goes from rest
+        to rest. The dual has as many rows as there are nodes, the program itself many times more.
+        """
         d = [matrix @ nodes for matrix in self._matrices]
         # It goes forward all the way.
         back, _ = self._worst(-d[1][:, None], -np.inf)
@@ -255,8 +247,11 @@ class _Points:
             by_nodes = self._slopes(one, d, at, weights, seconds)
             matrix.append(np.column_stack([by_nodes, -one.order * moving[at, row]]) / scale[:, None])
             bound.append(1 - use[at, row])
-        ends = self.space.matrix, self.space.missing(nodes)
-        return _dual(np.vstack(matrix), np.concatenate(bound), *ends, box)
+        ends = np.pad(self.space.matrix, ((0, 0), (0, 1)))
+        missing, sides = self.space.missing(nodes), np.eye(len(nodes) + 1)
+        low, high = np.append(np.full(len(nodes), box), 1.0), np.append(np.full(len(nodes), box), 0.0)
+        costs = np.concatenate([*bound, missing, -missing, low, high])
+        return costs, np.vstack([*matrix, ends, -ends, -sides, sides]).T
 
     def _worst(self, use: FloatArray, least: float) -> tuple[IntArray, IntArray]:
         """Points and rows at which `use` (N, R) is largest for a while, where that is at least so much."""
@@ -319,23 +314,7 @@ def _rows_of(one: Bounded, d: list[FloatArray]) -> _Rows:
     )
 
 
-def _dual(rows: FloatArray, bound: FloatArray, ends: FloatArray, missing: FloatArray, box: float) -> _Dual:
-    """The dual of the program of a step (n - 1,) of the nodes that lowers log T most.
-
-    It keeps ``rows @ (step, change of log T) <= bound``, and the law goes from rest to rest. The dual program
-    has as many rows as there are nodes, the program itself many times more.
-    """
-    count = rows.shape[1]
-    sides, ends = np.eye(count), np.hstack([ends, np.zeros((len(missing), 1))])
-    low, high = np.full(count, box), np.full(count, box)
-    low[-1], high[-1] = 1.0, 0.0
-    return (
-        np.concatenate([bound, missing, -missing, low, high]),
-        np.vstack([rows, ends, -ends, -sides, sides]).T,
-    )
-
-
-def _solved(duals: Sequence[_Dual]) -> list[tuple[FloatArray, float]]:
+def _solved(duals: Sequence[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, float]]:
     """Return of each program the step (n - 1,) of the nodes, and by how much it lowers log T."""
     sizes = [len(matrix) for _, matrix in duals]
     solved = linprog(

@@ -13,7 +13,7 @@ from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.timing.law_search import Bounded, LawSearch, promised_seconds, shortest_laws
+from cmbot.planning.timing.law_search import Bounded, LawSearch, shortest_laws
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE
 from cmbot.toolpath import Curve, LegLaw
@@ -50,6 +50,24 @@ class LegPath:
     leg: int
     q: BSpline
     segments: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoughLaw:
+    """A law of half the phases.
+
+    Attributes
+    ----------
+    path : LegPath
+    search : LawSearch
+        That of a law which splines follow, from this one on.
+    seconds : float
+        How long it takes.
+    """
+
+    path: LegPath
+    search: LawSearch
+    seconds: float
 
 
 def leg_paths(
@@ -135,59 +153,43 @@ def bounds_along(
     return bounded
 
 
-def shortest_laws_along(
-    request: StrokeRequest, paths: Sequence[LegPath], known: Sequence[LegLaw] = ()
-) -> tuple[LegLaw, ...]:
-    """Return the shortest laws along joint paths within a request's limits.
-
-    They are sought from laws of half the phases, and from those that are known.
+def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> tuple[RoughLaw, ...]:
+    """Return laws of few phases along joint paths within a request's limits, in which others are sought.
 
     Raises
     ------
     LimitViolation
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
-    laws, rough, fine = {law.leg: law for law in known}, list[LawSearch](), list[LawSearch]()
-    for each, bounded in zip(paths, bounds_of(request, paths), strict=True):
+    task, rough, fine = request.task, list[LawSearch](), list[LawSearch]()
+    max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
+    for each in paths:
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
-        before = laws.get(each.leg)
-        starts = [] if before is None or len(before.seconds) != phases else [_nodes(before)]
-        fine.append(LawSearch(bounded=bounded, phases=phases, known=starts))
-        half = phases // 2 if phases >= 2 * each.segments else phases
-        rough.append(LawSearch(bounded=bounded, phases=half))
-    for k, (jerk, seconds) in enumerate(shortest_laws(rough)):
+        bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
+        fine.append(LawSearch(bounded=bounded, phases=phases))
+        rough.append(replace(fine[-1], phases=phases // 2 if phases >= 2 * each.segments else phases))
+    found = list[RoughLaw]()
+    for each, search, (jerk, seconds) in zip(paths, fine, shortest_laws(rough), strict=True):
         if not np.isfinite(seconds):
-            raise _too_heavy(request, paths[k])
-        fine[k] = replace(fine[k], known=[jerk, *fine[k].known])
+            raise _too_heavy(request, each)
+        found.append(RoughLaw(path=each, search=replace(search, known=[jerk]), seconds=seconds))
+    return tuple(found)
+
+
+def shortest_laws_of(rough: Sequence[RoughLaw], known: Sequence[LegLaw]) -> tuple[LegLaw, ...]:
+    """Return the shortest laws along joint paths, sought from rough ones and from those that are known."""
+    searches, starts = [each.search for each in rough], {(law.leg, len(law.seconds)): law for law in known}
+    for k, each in enumerate(rough):
+        if (law := starts.get((each.path.leg, each.search.phases))) is not None:
+            jerk = np.array(law.jerk) * law.duration**3
+            searches[k] = replace(each.search, known=[*each.search.known, jerk])
+    found = zip(rough, shortest_laws(searches), strict=True)
+    each_law = ((each.path.leg, each.search.phases, *law) for each, law in found)
     return tuple(
-        LegLaw(
-            leg=each.leg,
-            seconds=(seconds / search.phases,) * search.phases,
-            jerk=tuple((jerk / seconds**3).tolist()),
-        )
-        for each, search, (jerk, seconds) in zip(paths, fine, shortest_laws(fine), strict=True)
+        LegLaw(leg=leg, seconds=(T / k,) * k, jerk=tuple((jerk / T**3).tolist()))
+        for leg, k, jerk, T in each_law
     )
-
-
-def promised_time(request: StrokeRequest, paths: Sequence[LegPath], known: Sequence[LegLaw]) -> float:
-    """Return what laws along joint paths promise to take together, s, by a little search from known ones."""
-    pairs = zip(bounds_of(request, paths), known, strict=True)
-    return promised_seconds(
-        [LawSearch(bounded=each, phases=len(law.seconds), known=[_nodes(law)]) for each, law in pairs]
-    )
-
-
-def bounds_of(request: StrokeRequest, paths: Sequence[LegPath]) -> list[list[Bounded]]:
-    """Return what bounds a motion of a request along each of its joint paths."""
-    task, robot = request.task, request.cell.robot
-    max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
-    return [bounds_along(robot, each.q, max_speed, task.max_base_torque) for each in paths]
-
-
-def _nodes(law: LegLaw) -> FloatArray:
-    """The jerk (K + 1,) at a law's nodes, by shares of time."""
-    return np.array(law.jerk) * law.duration**3
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:

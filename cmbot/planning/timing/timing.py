@@ -41,8 +41,8 @@ class Timing:
         Legs on which motions in less time failed.
     reason : str
         Why the first of these failed.
-    shortest : tuple of LegLaw
-        Those within the limits alone, of times that are sought.
+    rough : float
+        What laws of fewer phases take along the paths, s: by that paths compare.
     both : two floats, optional
         Of times that are sought: the shortest within the limits, and the shortest that is quiet, s.
     """
@@ -54,7 +54,7 @@ class Timing:
     factors: FloatArray
     at_fault: BoolArray
     reason: str = ""
-    shortest: tuple[LegLaw, ...] = ()
+    rough: float = np.inf
     both: tuple[float, float] | None = None
 
     @staticmethod
