@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import least_squares, linear_sum_assignment
+from scipy.optimize import OptimizeResult, least_squares, linear_sum_assignment
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
@@ -35,6 +35,9 @@ _TOLD_APART, _SAME_SHAPE = 0.9, 0.95
 # squares of their ways that keeps combinations small; the standard deviation of a mode's share in one.
 _MIXED_SIGMAS, _RIDGE, _MIX_SD = 2.0, 0.01, 0.1
 _FIT_TOLERANCE, _EVALUATIONS = 1e-7, 100
+# A fit ends where so many steps leave this share of its cost, and residuals so many standard deviations large
+# in the mean: no stiffness makes up for what is wrong then.
+_HOPELESS_STEPS, _HOPELESS_SHARE, _HOPELESS_SIGMAS = 10, 0.8, 20.0
 # Residual beyond which the robust loss is linear.
 _HUBER_SIGMAS = 2.0
 
@@ -134,7 +137,13 @@ class Problem:
                 known[key] = self.stacked(self.blocks(x, with_frequencies=with_frequencies))
             return known[key]
 
-        size = len(at(start)[0])
+        size, costs = len(at(start)[0]), list[float]()
+
+        def end_if_hopeless(intermediate_result: OptimizeResult) -> None:
+            costs.append(intermediate_result.cost)
+            least = max(_HOPELESS_SHARE * costs[-1 - _HOPELESS_STEPS :][0], 0.5 * size * _HOPELESS_SIGMAS**2)
+            if len(costs) > _HOPELESS_STEPS and costs[-1] > least:
+                raise StopIteration
 
         def residual(x: FloatArray) -> FloatArray:
             try:
@@ -152,6 +161,7 @@ class Problem:
             ftol=_FIT_TOLERANCE,
             gtol=_FIT_TOLERANCE,
             max_nfev=_EVALUATIONS,
+            callback=end_if_hopeless,
         )
         return np.asarray(found.x)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from command_line import run
+from scipy.optimize import least_squares
 from small_scenes import short_scene
 from test_records import oscillations, write
 
@@ -24,6 +25,7 @@ from cmbot.identification import (
     estimate,
     identify,
     measured_arm,
+    problem,
     read_deflections,
     read_measurements,
     remarks,
@@ -273,6 +275,27 @@ def folded(scene: str) -> tuple[dict[str, Any], FloatArray]:
     ]
     content = {"format": "cmbot-measurements/1", "scene": scene, "gauge_sd_mm": 0.01, "measurements": rows}
     return content, arm_modes(arm, q[0]).frequencies
+
+
+def test_a_fit_that_cannot_succeed_ends_early(scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Deflections in hundredths of a millimetre: residuals stay hundreds of standard deviations large."""
+    content, _ = folded(scene)
+    for each in content["measurements"]:
+        each["deflection_mm"] = [100 * own for own in each["deflection_mm"]]
+    ended = list[tuple[int, float]]()
+
+    def fitted(*args: Any, **options: Any) -> Any:
+        found = least_squares(*args, **options)
+        ended.append((found.nfev, float(np.sqrt(2 * found.cost / len(found.fun)))))
+        return found
+
+    monkeypatch.setattr(problem, "least_squares", fitted)
+    estimate(read_measurements(content))
+    hopeless = [evaluations for evaluations, size in ended if size > 20]
+    assert hopeless
+    assert max(hopeless) < 50
+    # By errors as large as that it fits.
+    assert ended[-1][1] < 2
 
 
 def test_frequencies_may_not_fit_by_a_wrong_weight(scene: str) -> None:

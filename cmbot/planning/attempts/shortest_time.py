@@ -23,7 +23,7 @@ from cmbot.planning.attempts.motion import StrokeMotion, is_better
 from cmbot.planning.attempts.remedies import REMEDIES
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.timing.leg_paths import RoughLaw, leg_paths, rough_laws, shortest_law_of
+from cmbot.planning.timing.leg_paths import RoughLaw, leg_paths, rough_laws, shortest_laws_of
 from cmbot.planning.timing.quiet_laws import shortest_quiet_law
 from cmbot.planning.timing.timing import Timing
 from cmbot.planning.torque import Optimised, optimise
@@ -148,20 +148,19 @@ def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[Roug
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    return attempted(request, lambda: tuple(rough_laws(request, leg_paths(request, legs, trajectory))))
+    return attempted(request, lambda: rough_laws(request, leg_paths(request, legs, trajectory)))
 
 
 def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
     """The shortest time along the joint path of a motion, by laws sought from rough ones."""
     request = before.request
-    known = {law.leg: law for law in request.stroke.file.time_laws or ()}
-    shortest = tuple(shortest_law_of(law, known.get(law.path.leg)) for law in rough)
+    shortest = shortest_laws_of(rough, request.stroke.file.time_laws or ())
     timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
     timing = replace(timing, rough=_seconds(rough))
     if request.cell.arm is None:
         return timing
     pairs = zip(rough, shortest, strict=True)
-    quiet = tuple(shortest_quiet_law(request, each.path, each.bounded, law) for each, law in pairs)
+    quiet = tuple(shortest_quiet_law(request, each.path, each.search.bounded, law) for each, law in pairs)
     laws = quiet if request.stroke.file.speed_profile.kind == "quiet" else shortest
     short, long = (sum(law.duration for law in each) for each in (shortest, quiet))
     return replace(timing, laws=laws, both=(short, long))

@@ -18,9 +18,11 @@ quadratically.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain, compress
 
 import numpy as np
+from scipy import sparse
 from scipy.interpolate import PPoly
 from scipy.optimize import linprog
 
@@ -31,7 +33,7 @@ from cmbot.toolpath import TimeLaw
 _POINTS_PER_PHASE, _ROWS_PER_PHASE = 12, 4
 # Programs at most, and from each start before the best goes on; least gain of one; the box at first and last,
 # as a share of the largest node.
-_MAX_PROGRAMS, _FIRST_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 8, 1e-3, 0.5, 1e-3
+_MAX_PROGRAMS, _FIRST_PROGRAMS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 8, 5e-4, 0.5, 1e-3
 # The box shrinks where less than this share of what a program promises is gained, and grows above the other.
 _SHRINK, _EXPAND = 0.1, 0.6
 # A law of so many phases is sought from one of half of them.
@@ -116,75 +118,94 @@ class _Nodes:
         return self.target - self.matrix @ nodes
 
 
-def shortest_law(
-    bounded: Sequence[Bounded], phases: int, known: Sequence[FloatArray] = ()
-) -> tuple[FloatArray, float]:
-    """Return the jerk (K + 1,) at the nodes of the shortest law, by shares of time, and its duration, s.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LawSearch:
+    """What the shortest law is sought for.
 
-    Parameters
+    Attributes
     ----------
     bounded : sequence of Bounded
     phases : int
         K, at least 6.
-    known : sequence of (k,), optional
+    known : sequence of (k,)
         Jerk at the nodes of laws in which the search begins. Without them it begins with the smoothest law
         and with one of half the phases: programs find the optimum nearest to where they begin.
-
-    Returns
-    -------
-    (K + 1,), float
-        The duration is infinite where a bound is exceeded at rest.
     """
-    space = _Nodes(phases)
-    laws = list(known)
-    if not laws:
-        # From few nodes programs get further.
-        refined = phases >= _MIN_REFINED_PHASES
-        laws = [np.zeros(2), *([shortest_law(bounded, phases // 2)[0]] if refined else [])]
-    points = _Points(space, phases * _POINTS_PER_PHASE, bounded)
-    descents = [_Descent(points, space.like(jerk)).go_on(_FIRST_PROGRAMS) for jerk in laws]
-    best = min(descents, key=lambda descent: descent.seconds).go_on(_MAX_PROGRAMS)
-    return np.concatenate([[0.0], best.nodes, [0.0]]), best.seconds
+
+    bounded: Sequence[Bounded]
+    phases: int
+    known: Sequence[FloatArray] = ()
+
+
+def shortest_laws(searches: Sequence[LawSearch]) -> list[tuple[FloatArray, float]]:
+    """Return of each search the jerk (K + 1,) at the nodes, by shares of time, and the duration, s.
+
+    The duration is infinite where a bound is exceeded at rest. All are sought at once: a few large linear
+    programs take less time than many small ones.
+    """
+    # From few nodes programs get further.
+    refined = [not each.known and each.phases >= _MIN_REFINED_PHASES for each in searches]
+    coarse = [replace(each, phases=each.phases // 2) for each in compress(searches, refined)]
+    halved = iter(shortest_laws(coarse) if coarse else ())
+    descents = list[list[_Descent]]()
+    for each, is_refined in zip(searches, refined, strict=True):
+        laws = each.known or [np.zeros(2), *([next(halved)[0]] if is_refined else [])]
+        points = _Points(each.phases, each.bounded)
+        descents.append([_Descent(points, jerk) for jerk in laws])
+    _descend(list(chain(*descents)), _FIRST_PROGRAMS)
+    best = [min(some, key=lambda descent: descent.seconds) for some in descents]
+    _descend(best, _MAX_PROGRAMS)
+    return [(np.concatenate([[0.0], each.nodes, [0.0]]), each.seconds) for each in best]
 
 
 def least_seconds(bounded: Sequence[Bounded], law: TimeLaw) -> float:
     """Return the least duration of a law within bounds, s; infinite where one is exceeded at rest."""
     u = np.linspace(0.0, 1.0, _LAW_POINTS)
     d = [law.share(u), *(law.rate(u, order) for order in (1, 2, 3))]
-    return _Points(_Nodes(1), 1, bounded).least(d)
+    return _Points(1, bounded).least(d)
 
 
 class _Descent:
-    """What linear programs, one after the other, find from a law on."""
+    """What linear programs, one after the other, find from a law of some jerk (k,) on."""
 
-    def __init__(self, points: _Points, nodes: FloatArray) -> None:
-        self._points, self._box, self._ended = points, _BOX, False
-        self.nodes, self.seconds = nodes, points.seconds(nodes)
+    def __init__(self, points: _Points, jerk: FloatArray) -> None:
+        self._points, self._box = points, _BOX
+        self.nodes = points.space.like(jerk)
+        self.seconds = points.seconds(self.nodes)
+        self.ended = not np.isfinite(self.seconds)
 
-    def go_on(self, programs: int) -> _Descent:
-        """Solve so many programs, or fewer where nothing more is gained."""
-        for _ in range(programs if np.isfinite(self.seconds) else 0):
-            if self._ended:
-                break
-            step, promised = self._points.step(self.nodes, self.seconds, self._box * np.abs(self.nodes).max())
-            trial = self._points.seconds(self.nodes + step)
-            gained = 1 - trial / self.seconds
-            if gained < _SHRINK * promised:
-                self._box /= 4
-            elif gained > _EXPAND * promised:
-                self._box = min(2 * self._box, _BOX)
-            if gained > 0:
-                self.nodes, self.seconds = self.nodes + step, trial
-            self._ended = promised < _LEAST_GAIN or self._box < _SMALLEST_BOX or 0 < gained < _LEAST_GAIN
-        return self
+    def program(self) -> tuple[FloatArray, FloatArray]:
+        """The next program, as of `_Points`."""
+        return self._points.program(self.nodes, self.seconds, self._box * np.abs(self.nodes).max())
+
+    def take(self, step: FloatArray, promised: float) -> None:
+        """Take a step of the nodes that promises so much of log T, if the duration falls."""
+        trial = self._points.seconds(self.nodes + step)
+        gained = 1 - trial / self.seconds
+        if gained < _SHRINK * promised:
+            self._box /= 4
+        elif gained > _EXPAND * promised:
+            self._box = min(2 * self._box, _BOX)
+        if gained > 0:
+            self.nodes, self.seconds = self.nodes + step, trial
+        self.ended = promised < _LEAST_GAIN or self._box < _SMALLEST_BOX or 0 < gained < _LEAST_GAIN
+
+
+def _descend(descents: Sequence[_Descent], programs: int) -> None:
+    """Solve so many programs of each, or fewer where nothing more is gained."""
+    for _ in range(programs):
+        if not (going := [each for each in descents if not each.ended]):
+            return
+        for each, found in zip(going, _solved([each.program() for each in going]), strict=True):
+            each.take(*found)
 
 
 class _Points:
     """Rows at equally spaced points of a law's time."""
 
-    def __init__(self, space: _Nodes, count: int, bounded: Sequence[Bounded]) -> None:
-        self._space, self._bounded = space, bounded
-        self._matrices = space.at(np.linspace(0.0, 1.0, count + 1))
+    def __init__(self, phases: int, bounded: Sequence[Bounded]) -> None:
+        self.space, self._bounded = _Nodes(phases), bounded
+        self._matrices = self.space.at(np.linspace(0.0, 1.0, phases * _POINTS_PER_PHASE + 1))
 
     def seconds(self, nodes: FloatArray) -> float:
         """The least duration of a law, s."""
@@ -205,8 +226,12 @@ class _Points:
             inverse = min(inverse, float(room.min(initial=np.inf) ** (1 / one.order)))
         return float(1.0 / inverse)
 
-    def step(self, nodes: FloatArray, seconds: float, box: float) -> tuple[FloatArray, float]:
-        """The step of the nodes that a linear program finds in a box, and what it promises of log T."""
+    def program(self, nodes: FloatArray, seconds: float, box: float) -> tuple[FloatArray, FloatArray]:
+        """Costs (k,) and matrix (n, k) of the program dual to that of a step which lowers log T most.
+
+        That is over the step (n - 1,) of the nodes, in a box, and the change of log T; the law goes from rest
+        to rest. The dual has as many rows as there are nodes, the program itself many times more.
+        """
         d = [matrix @ nodes for matrix in self._matrices]
         # It goes forward all the way.
         back, _ = self._worst(-d[1][:, None], -np.inf)
@@ -222,8 +247,11 @@ class _Points:
             by_nodes = self._slopes(one, d, at, weights, seconds)
             matrix.append(np.column_stack([by_nodes, -one.order * moving[at, row]]) / scale[:, None])
             bound.append(1 - use[at, row])
-        ends = self._space.matrix, self._space.missing(nodes)
-        return _step_within(np.vstack(matrix), np.concatenate(bound), *ends, box)
+        ends = np.pad(self.space.matrix, ((0, 0), (0, 1)))
+        missing, sides = self.space.missing(nodes), np.eye(len(nodes) + 1)
+        low, high = np.append(np.full(len(nodes), box), 1.0), np.append(np.full(len(nodes), box), 0.0)
+        costs = np.concatenate([*bound, missing, -missing, low, high])
+        return costs, np.vstack([*matrix, ends, -ends, -sides, sides]).T
 
     def _worst(self, use: FloatArray, least: float) -> tuple[IntArray, IntArray]:
         """Points and rows at which `use` (N, R) is largest for a while, where that is at least so much."""
@@ -286,31 +314,24 @@ def _rows_of(one: Bounded, d: list[FloatArray]) -> _Rows:
     )
 
 
-def _step_within(
-    rows: FloatArray, bound: FloatArray, ends: FloatArray, missing: FloatArray, box: float
-) -> tuple[FloatArray, float]:
-    """Return the step (n - 1,) of the nodes that lowers log T most, and by how much.
-
-    It keeps ``rows @ (step, change of log T) <= bound``, and the law goes from rest to rest. The dual
-    program is solved: it has as many rows as there are nodes, the program itself many times more.
-    """
-    count = rows.shape[1]
-    sides = np.eye(count)
-    low, high = np.full(count, box), np.full(count, box)
-    low[-1], high[-1] = 1.0, 0.0
-    free = np.zeros((len(missing), 1))
+def _solved(duals: Sequence[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, float]]:
+    """Return of each program the step (n - 1,) of the nodes, and by how much it lowers log T."""
+    sizes = [len(matrix) for _, matrix in duals]
     solved = linprog(
-        np.concatenate([bound, missing, low, high]),
-        A_eq=np.vstack([rows, np.hstack([ends, free]), -sides, sides]).T,
-        b_eq=-sides[-1],
-        bounds=[*[(0.0, None)] * len(rows), *[(None, None)] * len(missing), *[(0.0, None)] * (2 * count)],
+        np.concatenate([cost for cost, _ in duals]),
+        A_eq=sparse.block_diag([matrix for _, matrix in duals], format="csc"),
+        b_eq=np.concatenate([-np.eye(size)[-1] for size in sizes]),
         method="highs-ds",
         options={"presolve": False},
     )
-    if solved.status != 0:
-        return np.zeros(count - 1), 0.0
-    *step, change = solved.eqlin.marginals
-    return np.array(step), -change
+    if solved.status == 0:
+        worth = np.split(solved.eqlin.marginals, np.cumsum(sizes)[:-1])
+        return [(each[:-1], -each[-1]) for each in worth]
+    if len(duals) == 1:
+        return [(np.zeros(sizes[0] - 1), 0.0)]
+    # One that is not solved is no matter of the others.
+    half = len(duals) // 2
+    return [*_solved(duals[:half]), *_solved(duals[half:])]
 
 
 def _powers(order: int, d: list[FloatArray]) -> tuple[list[FloatArray], list[dict[int, FloatArray]]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
@@ -13,7 +13,7 @@ from cmbot.common.errors import LimitViolation
 from cmbot.common.limit import Limit
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.timing.law_search import Bounded, shortest_law
+from cmbot.planning.timing.law_search import Bounded, LawSearch, shortest_laws
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE
 from cmbot.toolpath import Curve, LegLaw
@@ -59,20 +59,14 @@ class RoughLaw:
     Attributes
     ----------
     path : LegPath
-    bounded : list of Bounded
-        What bounds a motion along it.
-    phases : int
-        K, of a law that splines follow.
-    jerk : (K // 2 + 1,)
-        At the nodes, by shares of time.
+    search : LawSearch
+        That of a law which splines follow, from this one on.
     seconds : float
         How long it takes.
     """
 
     path: LegPath
-    bounded: list[Bounded]
-    phases: int
-    jerk: FloatArray
+    search: LawSearch
     seconds: float
 
 
@@ -159,34 +153,43 @@ def bounds_along(
     return bounded
 
 
-def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> Iterator[RoughLaw]:
-    """Yield laws of few phases along joint paths within a request's limits, in which others are sought.
+def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> tuple[RoughLaw, ...]:
+    """Return laws of few phases along joint paths within a request's limits, in which others are sought.
 
     Raises
     ------
     LimitViolation
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
-    task = request.task
+    task, rough, fine = request.task, list[LawSearch](), list[LawSearch]()
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
     for each in paths:
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
-        jerk, seconds = shortest_law(bounded, phases // 2 if phases >= 2 * each.segments else phases)
+        fine.append(LawSearch(bounded=bounded, phases=phases))
+        rough.append(replace(fine[-1], phases=phases // 2 if phases >= 2 * each.segments else phases))
+    found = list[RoughLaw]()
+    for each, search, (jerk, seconds) in zip(paths, fine, shortest_laws(rough), strict=True):
         if not np.isfinite(seconds):
             raise _too_heavy(request, each)
-        yield RoughLaw(path=each, bounded=bounded, phases=phases, jerk=jerk, seconds=seconds)
+        found.append(RoughLaw(path=each, search=replace(search, known=[jerk]), seconds=seconds))
+    return tuple(found)
 
 
-def shortest_law_of(rough: RoughLaw, known: LegLaw | None) -> LegLaw:
-    """Return the shortest law along a joint path, sought from a rough one and from one that is known."""
-    phases, starts = rough.phases, [rough.jerk]
-    if known is not None and len(known.seconds) == phases:
-        starts.append(np.array(known.jerk) * known.duration**3)
-    jerk, seconds = shortest_law(rough.bounded, phases, starts)
-    each_jerk = tuple(float(x) for x in jerk / seconds**3)
-    return LegLaw(leg=rough.path.leg, seconds=(seconds / phases,) * phases, jerk=each_jerk)
+def shortest_laws_of(rough: Sequence[RoughLaw], known: Sequence[LegLaw]) -> tuple[LegLaw, ...]:
+    """Return the shortest laws along joint paths, sought from rough ones and from those that are known."""
+    searches, starts = [each.search for each in rough], {(law.leg, len(law.seconds)): law for law in known}
+    for k, each in enumerate(rough):
+        if (law := starts.get((each.path.leg, each.search.phases))) is not None:
+            jerk = np.array(law.jerk) * law.duration**3
+            searches[k] = replace(each.search, known=[*each.search.known, jerk])
+    found = zip(rough, shortest_laws(searches), strict=True)
+    each_law = ((each.path.leg, each.search.phases, *law) for each, law in found)
+    return tuple(
+        LegLaw(leg=leg, seconds=(T / k,) * k, jerk=tuple((jerk / T**3).tolist()))
+        for leg, k, jerk, T in each_law
+    )
 
 
 def _too_heavy(request: StrokeRequest, path: LegPath) -> LimitViolation:

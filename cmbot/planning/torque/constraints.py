@@ -24,7 +24,7 @@ from cmbot.toolpath import ToolPoses
 _ZERO_NORM = 1e-12
 # Directions across a leg in which the tool is held near it, or in which its axis may lean.
 _DIRECTION_COUNT = 8
-# Samples from one measured clearance to the next, from coarse to fine.
+# Samples from one bounded or measured clearance to the next, from coarse to fine.
 _CLEARANCE_STRIDES = (16, 4, 1)
 # Pairs that are measured sooner than bounded in a posture.
 _MEASURED_PAIRS = 8
@@ -419,8 +419,13 @@ class ClearanceMargin:
         lower = self._remembered(q)
         # Not "<=": what is no number is doubtful, too.
         rows = np.flatnonzero((~(lower > near)).sum(axis=1) > _MEASURED_PAIRS)
-        if len(rows):
-            lower[rows] = np.maximum(lower[rows], self.clearances.lower_bounds(q[rows]))
+        for every in _CLEARANCE_STRIDES:
+            # What is bounded in one posture bounds those near it.
+            rows = rows[(~(lower[rows] > near)).sum(axis=1) > _MEASURED_PAIRS]
+            if len(some := rows[every // 2 :: every]):
+                place = np.minimum(np.arange(len(rows)) // every, len(some) - 1)
+                moved = np.abs(q[rows] - q[some[place]]) @ self.clearances.pair_reach.T
+                lower[rows] = np.fmax(lower[rows], self.clearances.lower_bounds(q[some])[place] - moved)
         known, found = np.zeros(lower.shape, dtype=np.bool_), np.zeros(len(q), dtype=np.bool_)
         pairs = np.flatnonzero(~(lower > near).all(axis=0))
         covered = {pair: travel(q, self.clearances.pair_reach[pair]) for pair in pairs.tolist()}

@@ -1,6 +1,7 @@
 """``seconds: auto``: the shortest law along a path, against closed forms and copp, and a plan in its time."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,11 @@ from cmbot.planning.attempts.shortest_time import FEWER_STRETCHED_LEGS, STRETCHE
 from cmbot.planning.attempts.stroke import PlannedStroke
 from cmbot.planning.budget import SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.initial_guess import initial_guess
-from cmbot.planning.timing.law_search import Bounded, shortest_law
+from cmbot.planning.timing.law_search import (
+    Bounded,
+    LawSearch,
+    shortest_laws,
+)
 from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
@@ -53,6 +58,13 @@ def straight(size: float, *bounds: float) -> list[Bounded]:
     first, second, third = (way.derivative(k) for k in (1, 2, 3))
     terms = ((first,), (first, second), (first, second, third))
     return [Bounded(order=k + 1, terms=terms[k], bound=np.array([bound])) for k, bound in enumerate(bounds)]
+
+
+def shortest_law(
+    bounded: list[Bounded], phases: int, known: Sequence[np.ndarray] = ()
+) -> tuple[np.ndarray, float]:
+    """The shortest law of one way alone."""
+    return shortest_laws([LawSearch(bounded=bounded, phases=phases, known=known)])[0]
 
 
 def test_a_straight_way_takes_what_its_closed_form_says() -> None:
@@ -104,6 +116,26 @@ def test_a_law_that_is_known_is_never_made_longer(cmbot_robot: Robot, rng: np.ra
     assert again <= before * (1 + 1e-9)
     smooth, warm = (shortest_law(bounds_along(cmbot_robot, ways[1]), 40, laws)[1] for laws in ([], [known]))
     assert warm <= 1.01 * min(smooth, before)
+
+
+def test_laws_sought_together_are_those_sought_alone() -> None:
+    bounds = ((2.0, 1e3, 1e3, 4.0), (10.0, 1.0, 1e3, 20.0), (1.0, 0.5, 2.0, 20.0))
+    ways = [
+        (straight(size, *most), phases) for (size, *most), phases in zip(bounds, (60, 12, 30), strict=True)
+    ]
+    # One that no law leads along is no matter of the others.
+    no_way = Bounded(
+        order=2,
+        terms=ways[0][0][1].terms,
+        bound=np.array([1.0]),
+        offset=lambda s, order=0: np.full((len(s), 1), 2.0 * (order == 0)),
+    )
+    searches = [LawSearch(bounded=bounded, phases=phases) for bounded, phases in ways]
+    *together, refused = shortest_laws([*searches, LawSearch(bounded=[no_way], phases=20)])
+    assert refused[1] == np.inf
+    assert [len(jerk) for jerk, _ in together] == [61, 13, 31]
+    alone = [shortest_law(bounded, phases)[1] for bounded, phases in ways]
+    np.testing.assert_allclose([seconds for _, seconds in together], alone, rtol=5e-3)
 
 
 def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Generator) -> None:
