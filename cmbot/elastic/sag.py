@@ -134,6 +134,7 @@ class Sag:
             tangent, _ = self._solve(q[:1], u[:1])
             chord = np.linalg.inv(0.5 * (tangent[0] + tangent[0].T))
             u[1:], left = u[0], np.arange(1, len(q))
+            before = np.full(len(left), np.finfo(np.float64).tiny)
             for _ in range(_MAX_FIXED_STIFFNESS_STEPS):
                 loads = np.empty((len(left), u.shape[1]))
                 for k, configuration in enumerate(arm.configuration(q[left], u[left])):
@@ -141,7 +142,10 @@ class Sag:
                     loads[k] = torque[arm.elastic]
                 step = (chord @ ((arm.stiffness @ u[left, :, None])[:, :, 0] + loads)[:, :, None])[:, :, 0]
                 u[left] -= step
-                left = left[~(np.abs(step).max(axis=1) < _FIXED_STIFFNESS_TOLERANCE)]
+                size = np.abs(step).max(axis=1)
+                # Steps fall by about the same ratio: so much of the last one is left.
+                goes_on = ~(size * np.minimum(size / before, 1.0) < _FIXED_STIFFNESS_TOLERANCE)
+                left, before = left[goes_on], size[goes_on]
                 if not len(left):
                     break
             u[left] = 0.0
