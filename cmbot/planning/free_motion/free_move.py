@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
 from cmbot.planning.budget import MORE_TIME
@@ -193,7 +193,10 @@ def free_space(cell: Workcell) -> FreeSpace:
         at = cell.postures.at(q)
         return np.where(cell.strong(at), cell.objective.at_rest(at), np.inf)
 
-    return FreeSpace(cell.robot, cell.clearances, cell.options.safety_margin_m, cost)
+    def rests(q: FloatArray) -> BoolArray:
+        return cell.strong(cell.postures.at(q))
+
+    return FreeSpace(cell.robot, cell.clearances, cell.options.safety_margin_m, cost, rests)
 
 
 def largest_objective(cell: Workcell, trajectory: QuinticTrajectory) -> float:

@@ -36,6 +36,8 @@ class FreeSpace:
     cost : callable
         From postures (N, n), rad, to values (N,), such as the torque at rest; infinite where the arm cannot
         rest.
+    rests : callable, optional
+        From postures (N, n) to whether the arm can rest there, (N,): where the cost is finite, found sooner.
     bound : float
         No posture's cost is above it.
     spare : float
@@ -47,6 +49,7 @@ class FreeSpace:
     clearances: Clearances
     margin: float
     cost: Callable[[FloatArray], FloatArray]
+    rests: Callable[[FloatArray], BoolArray] | None = None
     bound: float = _NO_BOUND
     spare: float = _CHECK_DISTANCE_M / 2
 
@@ -64,10 +67,16 @@ class FreeSpace:
         """Return the postures whose cost is at most `bound`."""
         return replace(self, bound=bound)
 
+    def _bears(self, q: FloatArray) -> BoolArray:
+        """Whether the cost of postures `q` (N, n) is at most the bound."""
+        if self.bound == _NO_BOUND and self.rests is not None:
+            return self.rests(q)
+        return np.asarray(self.cost(q) <= self.bound)
+
     def holds(self, q: FloatArray) -> BoolArray:
         """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
         free = self.robot.limits.contain(q)
-        free[free] = self.cost(q[free]) <= self.bound
+        free[free] = self._bears(q[free])
         least = self.margin + self.spare
         free[free] = self.clearances.query(q[free], least).distance >= least
         return free
@@ -76,7 +85,7 @@ class FreeSpace:
         """Whether the postures checked on the line between two postures (n,) are free."""
         postures = self._along(start[None], end[None], _CHECK_DISTANCE_M)[0]
         # What costs least to find out comes first.
-        if not (self.robot.limits.contain(postures).all() and (self.cost(postures) <= self.bound).all()):
+        if not (self.robot.limits.contain(postures).all() and self._bears(postures).all()):
             return False
         # Scattered over the line first: what is in the way is found by few of them.
         postures, least = postures[_scattered(len(postures))], self.margin + self.spare
