@@ -351,6 +351,26 @@ def test_xacro_of_a_stranger(
     assert not re.search("root:|12345", str(caught.value))
 
 
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [
+        ("import nowhere", "does not expand (No module named 'nowhere')"),
+        ("raise SystemExit(3)", "does not expand (its process ended with status 3)"),
+    ],
+)
+def test_a_process_of_xacro_that_fails_is_no_slow_one(
+    tmp_path: Path, does: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("xacrodoc")
+    program = tmp_path / "python"
+    program.write_text(f"#!{sys.executable}\n{does}\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(program))
+    put(tmp_path / "arm.xacro", f'{HEAD}{PLAIN}<link name="a"/></robot>')
+    with pytest.raises(ModelError, match=re.escape(said)):
+        load_robot(tmp_path / "arm.xacro")
+
+
 def test_xacro_reads_files_of_its_own_and_no_variables(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

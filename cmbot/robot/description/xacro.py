@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryFile
 from threading import Timer
 from typing import Any
 
@@ -30,6 +31,8 @@ _MAX_CAUSE_CHARACTERS = 100
 _ELEMENT = re.compile(rb"<xacro:\w")
 _ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
 _PACKAGE_NAME = re.compile(r"\w[\w.\-]*")
+# What else a process says may be of files.
+_LACKING_PACKAGE = re.compile(r"^ModuleNotFoundError: (No module named '[\w.]+')", re.M)
 _LACKING = re.compile(r"Undefined substitution argument (\S+)")
 _LINK, _MACRO = re.compile(r"<link\b"), re.compile(rb"<xacro:macro\b")
 # As many packages as a robot's description may name; files that are named as using macros, and their size.
@@ -109,12 +112,21 @@ def _answered(
     own = {key: value for key, value in os.environ.items() if key in _VARIABLES or key.startswith("ROS_")}
     # Without -P its folder would come first, and xacro.py there.
     words = [sys.executable, "-P", str(Path(__file__).with_name("xacro_child.py"))]
-    pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
-    with subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=nowhere, env=own) as process:
+    pipe = subprocess.PIPE
+    with (
+        TemporaryFile() as said,
+        subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=said, env=own) as process,
+    ):
         timer = Timer(_CPU_SECONDS * _WAITS, process.kill)
         timer.start()
         try:
-            return _conversation(process, task, path, package_dirs)
+            answer = _conversation(process, task, path, package_dirs)
+            # Its limits end it by a signal; with a status it failed, such as for want of a package.
+            if not answer and (status := process.wait()) > 0:
+                said.seek(0)
+                lacking = _LACKING_PACKAGE.findall(said.read().decode(errors="replace"))
+                return {"failed": [f"its process ended with status {status}", *lacking][-1]}
+            return answer
         finally:
             timer.cancel()
             process.kill()
