@@ -138,6 +138,9 @@ def _all_fallbacks(made: Sequence[PlannedStroke], *, stopped: bool) -> Iterator[
         of = f"Stroke {stroke.trial.result.request.stroke.name}: " if len(made) > 1 else ""
         for fallback in _fallbacks(stroke, stopped=stopped):
             yield of + fallback
+    if stopped and all(stroke.trial.result.optimised.complete for stroke in made):
+        limit = made[0].trial.result.request.deadline.in_words
+        yield f"{limit[0].upper()}{limit[1:]}, was over before all was tried: more time may find a better motion."
 
 
 def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:

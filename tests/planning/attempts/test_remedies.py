@@ -442,6 +442,12 @@ def test_a_trajectory_that_nearly_meets_the_constraints_is_left_to_the_certifica
     found = plan(short_plan.scene)
     assert found.certificate.holds
     assert any("the best motion so far" in sentence for sentence in found.fallbacks)
+    # A motion that is complete may be one of fewer that were tried.
+    monkeypatch.setattr(Deadline, "mark", "time")
+    monkeypatch.setattr(motion, "optimise", lambda *_: replace(failed, complete=True))
+    *_, said = plan(short_plan.scene).fallbacks
+    assert said.startswith("The time, ") and "was over before all was tried: " in said
+    monkeypatch.undo()
     beyond = replace(failed, trajectory=replace(trajectory, a=1.5 * trajectory.a))
     monkeypatch.setattr(motion, "optimise", lambda *_: beyond)
     with pytest.raises(OptimisationFailed, match="jerk of joint_3"):

@@ -291,3 +291,20 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     there = replace(triangle_plan.start, moved=0.0)
     slow_there = replace(changed(begun, "approach", trajectory=slow), start=there)
     assert said(slow_there) == [f"{first}velocity of joint_4."]
+
+
+def test_no_gain_is_stated_against_hasty_free_moves_of_the_baseline(strokes_plan: Plan) -> None:
+    """They are as quick as the joints can move: what planning gains is told for the work."""
+    (note,) = (each for each in notes(strokes_plan) if each.key == "base")
+    values = {"faults": None, "work_faults": None, "peak_nm": 28.8, "work_nm": 28.8, "rest": "begins"}
+    hasty = sentence(
+        replace(note, values=note.values | values | {"baseline_nm": 37.7, "baseline_work_nm": 29.3})
+    )
+    assert "; the baseline has 37.7 Nm in its free moves, as quick as joints can; " in hasty
+    assert "the work alone 28.8 Nm, 1.7 % less than the baseline's 29.3 Nm" in hasty
+    assert "23" not in hasty
+    alike = replace(note, values=note.values | values | {"baseline_nm": 29.3, "baseline_work_nm": 29.3})
+    assert (
+        "28.8 Nm over the whole job (at rest in the posture in which the arm begins), 1.7 % less"
+        in sentence(alike)
+    )
