@@ -263,8 +263,8 @@ def _use(found: Location) -> str:
     """What to do with the blocks, and what then says how exactly the place is known."""
     if found.frame == "world":
         return (
-            "with from: {frame: workpiece, ...} in the scene's strokes and frame: workpiece in its obstacles"
-            f" these follow it; then {_exactly(found)} says how exactly"
+            "with from and legs' to: {frame: workpiece, ...} in the scene's strokes (by is along W) and "
+            f"frame: workpiece in its obstacles these follow it; then {_exactly(found)} says how exactly"
         )
     return f"its blocks go into the scene, where {_exactly(found)} says how exactly the tool's path is known"
 

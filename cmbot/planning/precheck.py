@@ -124,7 +124,8 @@ def _asked(
     tip = scene.tool.contact_mm
     contact = f", which the last {tip:g} mm of the tool may touch" if tip else ""
     yield "obstacles", f"{len(scene.all_obstacles)}, of them {workpieces}{contact}"
-    yield "tool point at the start", f"({point}) m"
+    axis = ", ".join(f"{x:g}" for x in np.round(task.path.poses([0.0]).rotation[0, :, 2], 2) + 0.0)
+    yield "tool point at the start", f"({point}) m, its axis along ({axis})"
     if robot.pushed:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
         slowly = f", which sets in within {robot.tool_ramp:g} s" if robot.tool_ramp else ""

@@ -31,7 +31,7 @@ def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
     assert found["via-points"] == "50"
     assert found["robot"].startswith("cmbot: 7 joints, ")
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
-    assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
+    assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m, its axis along (0.77, 0, -0.64)"
     last = out.splitlines()[-1]
     checked = "No warning. Checked: the start, and places along the path, each for a posture that is within"
     unchecked = "Not checked: the way from one to the next; cmbot plan triangle finds out."

@@ -47,7 +47,7 @@ def test_touched_corners_move_the_workpiece(tmp_path: Path, monkeypatch: pytest.
     scene = read_yaml(Path(load_scene("triangle").source), SceneError)
     assert load_scene(scene | blocks).frame_poses.keys() == {"workpiece"}
     assert "uncertainty" not in blocks
-    assert "from: {frame: workpiece, ...}" in outcome.out
+    assert "from and legs' to: {frame: workpiece, ...}" in outcome.out
 
 
 def test_a_frame_of_the_scene_is_located_where_it_was(

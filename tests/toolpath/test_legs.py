@@ -516,6 +516,7 @@ def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.r
         ([HEADING, ROW, "1,2,nan,1,0,0,0"], "line 3, z", "a finite number"),
         ([HEADING, ROW, "1,2,3,1,1,0,0"], "line 3", "a unit one"),
         ([HEADING], "", "a table of waypoints"),
+        (["x,y,z,roll,pitch,yaw", "1,2,3,0,0,0", "1,2,3,180,0,0"], "line 3", "in degrees"),
         (["x (furlong),y,z,qw,qx,qy,qz", ROW], "line 1, x", "m, cm, mm, um or in"),
         (["x,y,z,nx,ny,nz", "0,0,0,0,0,1"], "line 1", "keep: axis"),
         (b"\xff\xfe\x00", "", "a table of waypoints"),

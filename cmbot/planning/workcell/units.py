@@ -51,7 +51,9 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
         for name, most in (("adhesion_n", hold.adhesion_n), ("force_n", hold.force_n and max(hold.force_n))):
             if most is not None and most < _LEAST_HOLD_N:
                 yield f"{block}.hold.{name}", "kN", "N"
-    tool, fixed = scene.tool, scene.tool.fixed
+    tool, fixed, attached = scene.tool, scene.tool.fixed, scene.robot.tool
+    if attached is not None and np.abs(attached.xyz).max() > _VAST:
+        yield "robot.tool.xyz", "millimetres", "metres"
     if 0 < tool.contact_mm < _SHORTEST_TIP_MM:
         yield "tool.contact_mm", "metres", "mm"
     speeds = {"tool.max_speed_m_s": tool.max_speed_m_s}

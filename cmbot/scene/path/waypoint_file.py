@@ -33,7 +33,7 @@ _PART_OF_POSE = re.compile(r"(?:.*[^a-z])?(pos|position|rot|orientation|quaterni
 # Names that are no columns of anything: numbers of rows.
 _ROW_NUMBERS = ("", "index", "id", "n", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
-_LENGTH_OF_QUATERNION, _NO_NORMAL = 1e-3, 1e-9
+_LENGTH_OF_QUATERNION, _NO_NORMAL, _MOST_TURNED = 1e-3, 1e-9, 4 * np.pi
 
 
 class WaypointFile(FileModel):
@@ -42,7 +42,7 @@ class WaypointFile(FileModel):
     file: Annotated[str, Field(min_length=1, max_length=4096)]
     """Its path, relative to the scene file. Columns ``x,y,z`` (or ``x_mm``, ``x (mm)``), then
     ``qw,qx,qy,qz`` or ``roll,pitch,yaw``, rad, or with ``_deg``; with ``keep: axis`` also ``nx,ny,nz`` or
-    ``i,j,k``; with ``keep: position`` none of these; times in ``seconds``."""
+    ``i,j,k``, against which the tool points; with ``keep: position`` none of these; times in ``seconds``."""
     units: Literal["m", "mm", "cm", "in"] = "m"
     """Of places whose columns name no unit."""
     xyz: Vector = (0.0, 0.0, 0.0)
@@ -126,6 +126,10 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             used += columns
             in_degrees = np.pi / 180 if table.units[columns[0]].lower() in ("deg", "°") else factor
             turns = in_degrees * table.numbers(columns)
+            if (wrong := np.flatnonzero(np.abs(turns).max(axis=1) > _MOST_TURNED)).size:
+                key, got = f"line {table.lines[wrong[0]]}", f"{np.abs(turns[wrong[0]]).max():g} rad"
+                expected = "at most two turns; in degrees the columns are roll_deg,pitch_deg,yaw_deg"
+                raise SceneError(table.source, key, got, expected)
             return np.asarray(Rotation.from_euler("xyz", turns).as_quat(scalar_first=True))
     for names in _NORMAL_COLUMNS:
         if columns := table.columns(names):
