@@ -140,7 +140,8 @@ def _all_fallbacks(made: Sequence[PlannedStroke], *, stopped: bool) -> Iterator[
             yield of + fallback
     if stopped and all(stroke.trial.result.optimised.complete for stroke in made):
         limit = made[0].trial.result.request.deadline.in_words
-        yield f"{limit[0].upper()}{limit[1:]}, was over before all was tried: more time may find a better motion."
+        was_over = "was over before all was tried: more time may find a better motion"
+        yield f"{limit[0].upper()}{limit[1:]}, {was_over}."
 
 
 def _fallbacks(stroke: PlannedStroke, *, stopped: bool) -> Iterator[str]:
