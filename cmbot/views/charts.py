@@ -361,7 +361,7 @@ def _off_path(tracking: Tracking, begin: float) -> Chart:
         digits=2,
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
-        note="To the nearest point of the path: elastic deflection and joint motion together.",
+        note="To the nearest point of the leg at that time: elastic deflection and joint motion together.",
         free=_NOT_SIMULATED,
     )
 
