@@ -106,7 +106,8 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
         Two or more by what they are called.
     """
     (first, plan), *others = plans.items()
-    at = held_guardrail(plan.scene, plan.robot)
+    measured_one = any(each.scene.identified is not None for each in plans.values())
+    at = None if measured_one else held_guardrail(plan.scene, plan.robot)
     mine, told = _bending(plan, at), list[str]()
     for name, other in others:
         if found := list(_differences(plan.scene.base_name, mine, _bending(other, at))):
@@ -127,9 +128,11 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
     )
 
 
-def _bending(plan: Plan, at: Guardrail) -> ElasticArm:
-    """What bends, its base held where another one is, if it can be."""
+def _bending(plan: Plan, at: Guardrail | None) -> ElasticArm:
+    """What bends, its base held where another one is, if it can be; what was measured was so where it was."""
     own = held_guardrail(plan.scene, plan.robot)
+    if at is None:
+        return elastic_arm(plan.robot, elastic_base(own))
     places = {name: getattr(at, name) for name in ("foot_point", "footholds", "leg_compliance")}
     if at.post_positions:
         # W is at a foot: the first posts are the same one.

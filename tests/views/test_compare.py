@@ -1,6 +1,7 @@
 """Several plans on one page, with and without a browser."""
 
 import base64
+import json
 import re
 import shutil
 from dataclasses import replace
@@ -15,12 +16,14 @@ from command_line import output, refusal
 from obstacle_entries import with_obstacles
 from page_data import data_of, floats, without_shapes
 from selenium.webdriver import Chrome
+from small_scenes import short_scene
 
 from cmbot.archive import save
 from cmbot.collision import Box, Obstacle
 from cmbot.common.errors import InputError
 from cmbot.common.poses import pose
-from cmbot.planning import Plan
+from cmbot.elastic import elastic_base
+from cmbot.planning import Plan, held_guardrail, robot_of
 from cmbot.scene import IdentifiedStiffness
 from cmbot.simulation import Tracking
 from cmbot.views import compare_page, unlike
@@ -201,6 +204,22 @@ def test_the_page_says_whose_surroundings_it_shows(text: str, short_plan: Plan) 
     for page, shown in ((text, paths), (alike, paths[:1])):
         commands = [umsgpack.unpackb(base64.b64decode(command)) for command in data_of(page)["commands"]]
         assert [each["path"] for each in commands if each["path"].endswith("/path")] == shown
+
+
+def test_a_base_that_was_measured_is_compared_as_it_is(short_plan: Plan) -> None:
+    """With the legs' compliance, which is in what was measured; the same either way."""
+    scene = short_scene(robot={"joints": "elastic"})
+    robot = robot_of(scene)
+    modelled = replace(without_shapes(short_plan), scene=scene, robot=robot)
+    base = elastic_base(held_guardrail(scene, robot))
+    assert base is not None and robot.leg_compliance is not None
+    found = {"footholds": [[0.0, 0.0, 0.0]], "stiffness": (0.8 * base.stiffness).tolist()}
+    data = {"base": found | {"mass": base.mass.tolist()}, "covariance": (1e-4 * np.eye(21)).tolist()}
+    known = IdentifiedStiffness.model_validate_json(json.dumps(data))
+    measured = replace(modelled, scene=scene.model_copy(update={"identified": known}))
+    for first, second, times in ((modelled, measured, "0.8"), (measured, modelled, "1.25")):
+        said, _ = unlike({"one": first, "two": second})
+        assert said == f"Beside one, in two the stiffness of the guardrail is {times} times as large."
 
 
 def test_plans_on_other_bases_are_not_compared_without_a_word(short_plan: Plan, strokes_plan: Plan) -> None:
