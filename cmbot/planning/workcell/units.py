@@ -28,6 +28,8 @@ _MILLIMETRE = 1e-3
 _SOFTEST_N_M = 1e4
 # No magnet for a robot pulls less, and no clamp holds less, N.
 _LEAST_HOLD_N = 100.0
+# No robot's arm carries so much, kg.
+_HEAVIEST_KG = 300.0
 # No tip that may touch is so short, mm, no lean so small, deg, and no arm's tool faster than that, m/s.
 _SHORTEST_TIP_MM, _LEAST_LEAN_DEG, _FASTEST_M_S = 0.5, 1.0, 10.0
 
@@ -54,6 +56,10 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     tool, fixed, attached = scene.tool, scene.tool.fixed, scene.robot.tool
     if attached is not None and np.abs(attached.xyz).max() > _VAST:
         yield "robot.tool.xyz", "millimetres", "metres"
+    masses = {"payload_kg": scene.robot.payload_kg, "tool.mass_kg": attached.mass_kg if attached else None}
+    yield from (
+        (f"robot.{key}", "grams", "kg") for key, mass in masses.items() if (mass or 0) >= _HEAVIEST_KG
+    )
     if 0 < tool.contact_mm < _SHORTEST_TIP_MM:
         yield "tool.contact_mm", "metres", "mm"
     speeds = {"tool.max_speed_m_s": tool.max_speed_m_s}

@@ -15,6 +15,7 @@ from cmbot.common.errors import SceneError
 from cmbot.common.installation import shipped_scenes
 from cmbot.planning import precheck_scene, robot_of
 from cmbot.planning.workcell.units import mistaken_units, require_metres
+from cmbot.scene.robot_entry import AttachedToolFile
 
 TABLE = {"name": "table", "box": [1000, 800, 60], "xyz": [1800, 700, -2700]}
 WALL = {"name": "wall", "box": [20, 0.3, 5], "xyz": [0, 60, 0]}
@@ -126,3 +127,24 @@ def test_a_fixed_tool_in_millimetres_is_told_first() -> None:
     tool = {"fixed": {"xyz": [500, 0, 250], "rpy_deg": [0, 0, 0]}}
     first, *_ = precheck_scene(cmbot.load_scene({**SHORT, "tool": tool})).warnings
     assert (first.key, first.got) == ("tool.fixed.xyz", "numbers that look like millimetres")
+
+
+@pytest.mark.parametrize(
+    ("payload", "mass", "z", "suspected"),
+    [
+        (5, 4, 0.12, {}),
+        (
+            500,
+            400,
+            120,
+            {"robot.payload_kg": "grams", "robot.tool.mass_kg": "grams", "robot.tool.xyz": "millimetres"},
+        ),
+    ],
+)
+def test_a_payload_and_a_tool_in_grams_and_millimetres_are_suspected(
+    payload: float, mass: float, z: float, suspected: dict[str, str]
+) -> None:
+    scene = short_scene(robot={"payload_kg": payload})
+    tool = AttachedToolFile(xyz=(0.0, 0.0, z), mass_kg=mass)
+    scene = scene.model_copy(update={"robot": scene.robot.model_copy(update={"tool": tool})})
+    assert {key: looks for key, looks, _ in mistaken_units(scene)} == suspected
