@@ -43,7 +43,9 @@ def row(name: str, content: dict[str, Any]) -> str:
     try:
         plan = cmbot.plan(cmbot.load_scene(content))
     except cmbot.PlanningError as error:
-        return f"| {name} | no plan: {re.split('[;:]', str(error))[0]} | | | |"
+        # After line and key.
+        why = next(part for part in re.split("[;:] ", str(error)) if re.search(r" \D", part))
+        return f"| {name} | no plan: {why} | | | |"
     figures = (
         "-" if plan.baseline is None else f"{plan.baseline.figures.peak_static_guardrail_torque:.2f}",
         f"{plan.figures.peak_static_guardrail_torque:.2f}",
