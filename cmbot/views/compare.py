@@ -131,15 +131,14 @@ def unlike(plans: Mapping[str, Plan]) -> tuple[str, ...]:
 def _bending(plan: Plan, at: Guardrail | None) -> ElasticArm:
     """What bends, its base held where another one is, if it can be; what was measured was so where it was."""
     own = held_guardrail(plan.scene, plan.robot)
-    if at is None:
-        return elastic_arm(plan.robot, elastic_base(own))
-    places = {name: getattr(at, name) for name in ("foot_point", "footholds", "leg_compliance")}
-    if at.post_positions:
-        # W is at a foot: the first posts are the same one.
-        posts = tuple(x - own.post_positions[0] + at.post_positions[0] for x in own.post_positions)
-        places["post_positions"] = posts
-    with suppress(InputError):
-        return elastic_arm(plan.robot, elastic_base(replace(own, **places)))
+    if at is not None:
+        places = {name: getattr(at, name) for name in ("foot_point", "footholds", "leg_compliance")}
+        if at.post_positions:
+            # W is at a foot: the first posts are the same one.
+            posts = tuple(x - own.post_positions[0] + at.post_positions[0] for x in own.post_positions)
+            places["post_positions"] = posts
+        with suppress(InputError):
+            return elastic_arm(plan.robot, elastic_base(replace(own, **places)))
     return elastic_arm(plan.robot, elastic_base(own))
 
 
