@@ -241,8 +241,7 @@ def _remedies(
     ):
         tried.append(("cmbot locate", lambda other: other.located(uncertainty.foot)))
     # A slower tool is moved as far by a force that sets in at once.
-    at_once = arm.robot.pushed and not arm.robot.tool_ramp
-    if not at_once:
+    if not arm.robot.pushed_at_once:
         tried.append(("half the speed", lambda other: other.scaled({"sway": _HALF_SPEED_SHARE})))
     elif 1e3 * np.linalg.norm(budget.sway, axis=2).max() > (1 - _MAX_REMEDY_SHARE) * within:
         slowly = ramped(arm, strokes[0].motion(np.zeros(1), 0)[0])

@@ -32,6 +32,7 @@ SETTLE_S = 2.0
 _MAX_MATRIX_INTERVAL_S, _MAX_MATRIX_POSTURES = 0.15, 120
 # Steps in a period of the slowest mode, and steps at most.
 _STEPS_PER_PERIOD, _MAX_TIME_STEPS = 24, 6000
+# Periods of the slowest mode in which a force sets in that is to sway the tool hardly at all.
 _RAMP_PERIODS = 2.0
 
 

@@ -75,7 +75,7 @@ class Robot:
         Force that acts on the tool while it is on, at the tool point, along the tool's axes, N. It is part of
         every torque of this robot; see `tool_off`.
     tool_ramp : float
-        Time in which that force sets in before a stroke, and ends after it, s; 0: at once.
+        Time in which that force sets in before a stroke, and ends after it, s; 0: at once, or there is none.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
     fixed_tool : pinocchio.SE3 or None
@@ -187,7 +187,7 @@ class Robot:
     @cached_property
     def tool_off(self) -> Robot:
         """The same robot with its tool off: no force acts on it."""
-        return replace(self, tool_force=_ZERO_FORCE) if self.pushed else self
+        return replace(self, tool_force=_ZERO_FORCE, tool_ramp=0.0) if self.pushed else self
 
     def force_share(self, t: FloatArray) -> FloatArray:
         """Return the share of the tool's force `t` (N,) s after it began to set in: of class C2."""
@@ -210,6 +210,11 @@ class Robot:
     def pushed(self) -> bool:
         """Whether a force acts on its tool."""
         return any(self.tool_force)
+
+    @property
+    def pushed_at_once(self) -> bool:
+        """Whether that force sets in at once."""
+        return self.pushed and not self.tool_ramp
 
     @property
     def joints(self) -> tuple[str, ...]:

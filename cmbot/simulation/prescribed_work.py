@@ -40,10 +40,8 @@ class WorkPart:
 
         Between strokes it ends, and sets in again, while the arm stands.
         """
-        if self.path is not None:
-            return np.ones_like(times)
-        if not robot.tool_ramp:
-            return np.zeros_like(times)
+        if self.path is not None or not robot.tool_ramp:
+            return np.full_like(times, float(self.path is not None))
         after = times - (self.motion.duration - robot.tool_ramp)
         return 1 - robot.force_share(times) + robot.force_share(after)
 

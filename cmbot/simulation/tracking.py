@@ -35,7 +35,7 @@ from cmbot.simulation.accelerated_base import GroundAcceleration, on_accelerated
 from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.prescribed_work import PrescribedWork
+from cmbot.simulation.prescribed_work import PrescribedWork, WorkPart
 from cmbot.trajectory import QuinticTrajectory
 
 if TYPE_CHECKING:
@@ -332,12 +332,12 @@ def track_work(
     """
     first = work.postures(np.zeros(1))
     modes = arm_modes(arm, first[0])
-    start, rate, ramp = np.zeros_like(modes.u), np.zeros_like(modes.u), arm.robot.tool_ramp
+    start, rate = np.zeros((2, len(modes.u)))
     if options.initial == "equilibrium":
         # The tool comes on when the work begins, or just before.
         start = Sag(arm.tool_off).equilibria(first)[0][0]
     motions: list[DrivenMotion] = [part.motion for part in work.parts]
-    forces = [_forces(arm, partial(part.force_share, arm.robot)) for part in work.parts]
+    forces = [_forces(arm, part) for part in work.parts]
     if options.settle_s > 0:
         motions.append(QuinticTrajectory.held(work.end, options.settle_s))
         forces.append(lambda _: arm.external_forces)
@@ -345,9 +345,7 @@ def track_work(
     if is_executed(options):
         curve, moved = executed(work, options)
         motions = list(moved)
-    waits: list[DrivenMotion] = [QuinticTrajectory.held(first[0], ramp)] if arm.robot.pushed and ramp else []
     if not arm.robot.coupling.is_free:
-        waits = [_OfAllJoints(motion, arm.robot.coupling) for motion in waits]
         motions = [_OfAllJoints(motion, arm.robot.coupling) for motion in motions]
     system = ElasticSystem.of(arm, modes.damping(options.damping_or(arm.robot.damping_ratio)) + arm.damping)
     integrator = partial(
@@ -359,8 +357,9 @@ def track_work(
         # What a controller does between the ends of longer steps would be left out.
         longest=_MAX_STEP_FACTOR if curve is None else 1,
     )
-    if waits and options.initial == "equilibrium":
-        before = integrator(system).run(waits, start, rate, None, [_forces(arm, arm.robot.force_share)])
+    if arm.robot.tool_ramp and options.initial == "equilibrium":
+        waits = _OfAllJoints(QuinticTrajectory.held(first[0], arm.robot.tool_ramp), arm.robot.coupling)
+        before = integrator(system).run([waits], start, rate, None, [_force_by(arm, arm.robot.force_share)])
         start, rate = before.u[-1], before.v[-1]
     if ground is not None:
         system, motions, forces = on_accelerated_base(system, motions, forces, ground)
@@ -381,7 +380,16 @@ def track_work(
     return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution, base)
 
 
-def _forces(arm: ElasticArm, share: Callable[[FloatArray], FloatArray]) -> ExternalForces:
+def _forces(arm: ElasticArm, part: WorkPart) -> ExternalForces:
+    """The external forces along a part of the work, from times on its clock."""
+    if part.path is None and arm.robot.tool_ramp:
+        return _force_by(arm, partial(part.force_share, arm.robot))
+    # Nothing is to be worked out at every step of a stroke.
+    forces = (arm if part.path is not None else arm.tool_off).external_forces
+    return lambda _: forces
+
+
+def _force_by(arm: ElasticArm, share: Callable[[FloatArray], FloatArray]) -> ExternalForces:
     """External forces of which a share is on the tool, from times (N,)."""
 
     @lru_cache(maxsize=2)

@@ -87,9 +87,9 @@ def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
     match failure:
         case Uncertified(limit=Limit.SWAY):
             # What a force adds that sets in at once no motion changes.
-            robot = request.cell.robot
-            is_slow = robot.tool_ramp or not robot.pushed
-            return None if is_slow else replace(request, cell=request.cell.ramped(request.first))
+            if not request.cell.robot.pushed_at_once:
+                return None
+            return replace(request, cell=request.cell.ramped(request.first))
         case NoTrajectory(broken=broken) | Uncertified(broken=broken):
             pass
         case NoWay(pair=(_, _)):

@@ -108,8 +108,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     PathNotFound
         When nothing leads there.
     """
-    ramp = request.cell.robot.tool_ramp if request.cell.robot.pushed else 0.0
-    request = request.tool_off
+    ramp, request = request.cell.robot.tool_ramp, request.tool_off
     space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME_OBJECTIVE_SHARE) * max(move.allowed, *space.cost(ends))

@@ -74,7 +74,7 @@ def baseline_of(
     if not each:
         return None
     segments, at, begin = list[BaselineSegment](), start, 0.0
-    off, ramp = robot.tool_off, robot.tool_ramp * robot.pushed
+    off, ramp = robot.tool_off, robot.tool_ramp
 
     def move(name: str, goal: FloatArray, task: ToolTask) -> None:
         if np.abs(goal - at).max() <= SAME_POSTURE:
