@@ -84,6 +84,12 @@ class Attempt:
         made = attempted(request, lambda: least_travel_guess(request, guess))
         return replace(self, request=request, guess=made) if isinstance(made, InitialGuess) else self
 
+    @property
+    def chooses_laws(self) -> bool:
+        """Whether a quiet stroke is to have laws that are neither given nor those of the scene's profile."""
+        file = self.request.stroke.file
+        return file.speed_profile.kind == "quiet" and not (file.time_laws or self.plain)
+
     def quiet(self) -> Attempt:
         """Return the attempt with the laws that a quiet stroke is to have, chosen along its optimised path.
 
@@ -92,9 +98,8 @@ class Attempt:
         guessed, nothing leads on in another law, or the tool sways more by it along that path: suppression
         lessens the swing alone.
         """
-        request, file, guess = self.request, self.request.stroke.file, self.guess
-        is_chosen = file.speed_profile.kind == "quiet" and not file.time_laws
-        if self.plain or not is_chosen or not isinstance(guess, InitialGuess):
+        request, guess = self.request, self.guess
+        if not self.chooses_laws or not isinstance(guess, InitialGuess):
             return self
         # Imported where needed: SciPy's splines take a while to load.
         from cmbot.planning.timing.quiet_laws import quiet_laws

@@ -12,7 +12,7 @@ from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.attempts.agenda import Solved
 from cmbot.planning.attempts.attempt import Attempt
-from cmbot.planning.attempts.failure import Failure, failure_of
+from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.attempts.remedies import is_little_nearer
 from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.flexibility.sag_compensation import Compensation, optimise_bent
@@ -111,6 +111,15 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
         return Solved(result=motion)
     except (PathNotFound, OptimisationFailed, LimitViolation) as error:
         return failure_of(request, error)
+
+
+def with_way(attempt: Attempt) -> Solved[Attempt] | Failure:
+    """Find the way to where an attempt starts: the attempt with it, or why nothing leads there."""
+    request, guess = attempt.request, attempt.guess
+    if not isinstance(guess, InitialGuess):
+        return guess
+    found = attempted(request, lambda: _with_way(request, guess))
+    return Solved(result=replace(attempt, guess=found)) if isinstance(found, InitialGuess) else found
 
 
 def is_better(request: StrokeRequest) -> Callable[[StrokeMotion, StrokeMotion], bool]:

@@ -398,6 +398,8 @@ JOINED_START = Remedy(
 )
 SCENE_START = Remedy(cost=108, propose=_scene_start, tell=_tell_scene_start, replaces=True)
 
+WAYS = (REACHABLE_START, JOINED_START, SCENE_START)
+"""Where no approach leads to a start."""
 REMEDIES = (
     *(
         SPARE_CLEARANCE,
@@ -408,5 +410,6 @@ REMEDIES = (
         MORE_VIA_POINTS,
         FEWER_VIA_POINTS,
     ),
-    *(ANOTHER_START, REACHABLE_START, JOINED_START, SCENE_START),
+    ANOTHER_START,
+    *WAYS,
 )

@@ -11,8 +11,8 @@ from cmbot.planning.attempts.advice import EASED_BOUND, LESS_KEPT, SLOWER_LEGS, 
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
 from cmbot.planning.attempts.failure import Failure, attempted, briefly
-from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of
-from cmbot.planning.attempts.remedies import REMEDIES
+from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of, with_way
+from cmbot.planning.attempts.remedies import REMEDIES, WAYS
 from cmbot.planning.budget import ADVICE_RUNS, LESS_KEPT_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
 from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
@@ -83,8 +83,13 @@ def plan_stroke(
     if stays and request.cell.options.knots == "sliding":
         first = replace(first, guess=attempted(request, lambda: sliding_guess(request, stay=True)))
     for start in dict.fromkeys((first.of_least_travel(), first)):
-        quiet = start if request.task.path.open_legs else start.quiet()
-        trial = searched_motion(quiet, budget)
+        quiet, parent = start, None
+        if start.chooses_laws and not request.task.path.open_legs:
+            # A path to whose start nothing leads is not worth optimising.
+            reached = agenda_of(request, with_way, WAYS, Budget(runs=RUNS)).search(start)
+            if isinstance(reached.outcome, Solved):
+                quiet, parent = reached.result.quiet(), reached
+        trial = searched_motion(quiet, budget, parent)
         if isinstance(trial.outcome, Solved) or budget.left == 0:
             break
     if quiet.timing is not None and _sways_more(trial) and budget.left > 0:
@@ -137,15 +142,20 @@ def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
     return unshaped is not None and _sway(trial) > _MORE * sum(trial.attempt.request.cell.sway_of(unshaped))
 
 
-def searched_motion(first: Attempt, budget: Budget) -> Trial[Attempt, StrokeMotion]:
-    """Return the best motion that is found from an attempt on, or the failure that is to be told."""
+def searched_motion(
+    first: Attempt, budget: Budget, parent: Trial[Attempt, Attempt] | None = None
+) -> Trial[Attempt, StrokeMotion]:
+    """Return the best motion that is found from an attempt on, or the failure that is to be told.
+
+    `parent` is the trial that led to it.
+    """
     if first.request.task.path.open_legs:
         # Imported where needed: SciPy's splines and linear programs take a while to load.
         from cmbot.planning.attempts.shortest_time import in_shortest_time
 
         return in_shortest_time(first, budget, certified_motion, LIGHTER_START)
     remedies, better = (*REMEDIES, LIGHTER_START), is_better(first.request)
-    return agenda_of(first.request, certified_motion, remedies, budget, better).search(first)
+    return agenda_of(first.request, certified_motion, remedies, budget, better).search(first, parent)
 
 
 def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion]:
