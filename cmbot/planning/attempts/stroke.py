@@ -14,7 +14,7 @@ from cmbot.planning.attempts.failure import Failure, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of, with_way
 from cmbot.planning.attempts.remedies import REMEDIES, WAYS
 from cmbot.planning.budget import ADVICE_RUNS, LESS_KEPT_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
-from cmbot.planning.initial_guess import InitialGuess, guess_near, initial_guess, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, guess_near, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
@@ -165,10 +165,10 @@ def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion
     motion = trial.result
     if motion.guess.search is None or motion.request.cell.options.objective == "travel":
         return trial
-    own = attempted(motion.request, lambda: initial_guess(motion.request, trial.attempt.search))
-    if not isinstance(own, InitialGuess):
+    search = trial.attempt.search
+    if search is None:
         return trial
-    guess = replace(motion.guess, lower_bound=own.lower_bound, choice=own.choice, search=own.search)
+    guess = replace(motion.guess, lower_bound=search.lower_bound, search=search)
     return replace(trial, outcome=Solved(result=replace(motion, guess=guess)))
 
 
