@@ -272,9 +272,14 @@ class Holding:
         modes = self.modes(number, wrench[None])[0]
         return MODES[int(modes.argmax())] if modes.max() > 0 else "none"
 
-    def __call__(self, wrench: FloatArray, /) -> tuple[FloatArray, FloatArray]:
-        """Return the largest adhesion that a foot needs (N,), N, and its gradients (N, 6)."""
-        return self._most(wrench, dict.fromkeys(self.flat, 1.0))
+    def __call__(
+        self, wrench: FloatArray, /, above: FloatArray | float = -np.inf
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the largest adhesion that a foot needs (N,), N, and its gradients (N, 6).
+
+        What is not above `above`, N, may be given lower.
+        """
+        return self._most(wrench, dict.fromkeys(self.flat, 1.0), above)
 
     @property
     def bounded(self) -> bool:

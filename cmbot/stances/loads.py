@@ -228,7 +228,7 @@ class StanceLoads:
         for foot, rows, load, by_wrench in self._by_foot(of, wrench):
             if foot.contact is None:
                 continue
-            needed, by_load = needed_by_load(foot, load)
+            needed, by_load = needed_by_load(foot, load, value[rows])
             more = needed > value[rows]
             value[rows[more]] = needed[more]
             gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[more])

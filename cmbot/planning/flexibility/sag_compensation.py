@@ -141,6 +141,9 @@ class _Bending:
             if self._request.deadline.expired():
                 reason = f"{self._request.deadline.over_in_words} before the sag along the motion was settled"
                 raise self._failure(reason, change, stopped=True)
+            if optimised.passes:
+                # The least peak hardly differs from one linearization to the next: it is sought once.
+                self._least = max(self._least, optimised.passes[-1].peak_torque)
             self._bent = after
             self._problem = self._placed(near.q, near=near, stays=number >= _SLIDING)
         raise self._failure(f"the sag did not settle, linearized {_LINEARIZATIONS} times", change)

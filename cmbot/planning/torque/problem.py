@@ -219,8 +219,8 @@ class ScaledObjective:
         return self.objective.name
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
-        """Return the values (N, 1)."""
-        value = self.objective.values(states)[:, None] / self.scale
+        """Return the values (N, 1), exact above the threshold."""
+        value = self.objective.values(states, threshold * self.scale)[:, None] / self.scale
         return value, np.zeros(value.shape, dtype=np.intp)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:

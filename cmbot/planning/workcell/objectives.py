@@ -13,6 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, InputError
 from cmbot.elastic.first_order import DeckSway
 from cmbot.elastic.sag import Sag
+from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
@@ -46,8 +47,8 @@ class Objective(Protocol):
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) at rest in N postures."""
 
-    def values(self, states: StateSamples) -> FloatArray:
-        """Return its values (N,) at N states."""
+    def values(self, states: StateSamples, above: float = -np.inf) -> FloatArray:
+        """Return its values (N,) at N states; what is not above `above` may be given lower."""
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
@@ -134,9 +135,10 @@ class WrenchObjective:
         """Return its values (N,) at rest in N postures."""
         return self.function(postures.guardrail_wrench)[0]
 
-    def values(self, states: StateSamples) -> FloatArray:
-        """Return its values (N,) at N states."""
-        return self.function(efforts_of(self._dynamics, states).guardrail_wrench)[0]
+    def values(self, states: StateSamples, above: float = -np.inf) -> FloatArray:
+        """Return its values (N,) at N states; what is not above `above` may be given lower."""
+        wrench, function = efforts_of(self._dynamics, states).guardrail_wrench, self.function
+        return (function(wrench, above) if isinstance(function, Holding) else function(wrench))[0]
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
@@ -180,7 +182,7 @@ class PostureObjective:
         """Return its values (N,) in N postures."""
         return self._value(postures.q)
 
-    def values(self, states: StateSamples) -> FloatArray:
+    def values(self, states: StateSamples, above: float = -np.inf) -> FloatArray:
         """Return its values (N,) at N states."""
         return self._value(states.q)
 
