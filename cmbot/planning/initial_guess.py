@@ -73,6 +73,7 @@ class InitialGuess:
         None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
     )
     keeps: bool = False  # the motion itself, moved onto the path, not what is optimised from it
+    optimised: bool = False  # its via-points are those of a motion that was optimised
 
     def asked(self, request: StrokeRequest) -> InitialGuess:
         """Return the same splines for a problem of other bounds."""
@@ -332,7 +333,8 @@ def problem_near(
     pinned = slides and guess.pinned
     splines = before.splines if np.array_equal(before.space.t, request.times) else None
     form = parametrization_through(request, placed, sliding=slides, pinned=pinned, near=near, splines=splines)
-    return TorqueProblem(request, form, guess.lower_bound.value if least is None else least)
+    least = guess.lower_bound.value if least is None else least
+    return TorqueProblem(request, form, least, optimised=guess.optimised)
 
 
 def searched(

@@ -106,28 +106,30 @@ class Attempt:
 
         request.reporter.step("choosing time laws by the sway that they would cause")
         # Via-points that stay leave next to nothing to optimise of the path.
-        unshaped = guess.problem.parametrization.trajectory
+        unshaped, own = guess.problem.parametrization.trajectory, self
         if guess.search is not None:
             optimised = attempted(request, lambda: optimise(guess.problem))
-            if isinstance(optimised, Optimised):
-                unshaped = optimised.trajectory
+            if isinstance(optimised, Optimised) and optimised.failure is None:
+                unshaped, settled = optimised.trajectory, replace(guess, optimised=True)
+                problem = problem_near(request, settled, unshaped.q, near=unshaped)
+                own = replace(self, guess=replace(settled, problem=problem))
 
         def simulated(laws: tuple[LegLaw, ...]) -> FloatArray:
-            timed = self.in_timing(Timing.along(request, unshaped, (), laws))
+            timed = own.in_timing(Timing.along(request, unshaped, (), laws))
             if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
                 return np.full(len(request.task.path.segments), np.inf)
             times = timed.request.task.path.leg_times
             return request.cell.sway_of_legs(timed.guess.problem.parametrization.trajectory, times)
 
         laws, more_time = quiet_laws(request, unshaped, simulated if is_coarse(request) else None)
-        own = replace(self, more_time=more_time)
+        plain = replace(own, more_time=more_time)
         if not laws:
-            return own
-        timed = own.in_timing(Timing.along(request, unshaped, (), laws))
+            return plain
+        timed = plain.in_timing(Timing.along(request, unshaped, (), laws))
         if not isinstance(timed, Attempt) or not isinstance(timed.guess, InitialGuess):
-            return own
+            return plain
         shaped = timed.guess.problem.parametrization.trajectory
-        return own if request.cell.sway_of(shaped)[0] > sum(request.cell.sway_of(unshaped)) else timed
+        return plain if request.cell.sway_of(shaped)[0] > sum(request.cell.sway_of(unshaped)) else timed
 
     def in_timing(self, timing: Timing) -> Attempt | Failure:
         """Return the attempt in a timing, from the via-points of its joint path.

@@ -71,9 +71,18 @@ class TorqueProblem:
     least : float
         What the objective's peak cannot fall below, but for what motion takes off. In postures that do not
         move the arm rests, and they count too; so does what is negligible.
+    optimised : bool
+        The guess is a motion that was optimised before: no peak below what it has at rest is sought again.
     """
 
-    def __init__(self, request: StrokeRequest, parametrization: Parametrization, least: float) -> None:
+    def __init__(
+        self,
+        request: StrokeRequest,
+        parametrization: Parametrization,
+        least: float,
+        *,
+        optimised: bool = False,
+    ) -> None:
         cell = request.cell
         robot, options = cell.robot, cell.options
         self.request, self.parametrization, self.least = request, parametrization, least
@@ -89,7 +98,7 @@ class TorqueProblem:
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
-        at_fixed = float(self.at_via_points[fixed].max(initial=0.0))
+        at_fixed = float((self.at_via_points if optimised else self.at_via_points[fixed]).max(initial=0.0))
         self.lower_bound = max(least, at_fixed, request.negligible) / self.scale
         self.objective: StateFunction = ScaledObjective(request.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
