@@ -18,7 +18,7 @@ from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
 from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, attempted, error_of, in_words
 from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
-from cmbot.planning.budget import Budget, Deadline
+from cmbot.planning.budget import CANDIDATE_RUNS, SHORTEST_TIME_RUNS, Budget, Deadline
 from cmbot.planning.composition import composed
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
@@ -131,11 +131,13 @@ def _reached(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Scene
         raise
 
 
-def plan_candidate(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Plan:
+def plan_candidate(
+    scene: Scene, options: PlannerOptions, deadline: Deadline, *, wanted: bool = False
+) -> Plan:
     """Plan a `reached_scene` that is one of many, as a stance is.
 
     Nothing is found that is only told of a plan: not the lower bound where laws were chosen, and in place of
-    a refusal not what would do.
+    a refusal not what would do. Unless this one is `wanted`, strokes take few runs of optimise-and-certify.
 
     Raises
     ------
@@ -143,7 +145,9 @@ def plan_candidate(scene: Scene, options: PlannerOptions, deadline: Deadline) ->
         As `plan` does.
     """
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        return replace(_Planner.of(options, None, deadline), brief=True).whole(scene)
+        runs = SHORTEST_TIME_RUNS if wanted else CANDIDATE_RUNS
+        planner = replace(_Planner.of(options, None, deadline), brief=True, most_runs=runs)
+        return planner.whole(scene)
 
 
 def replan(
@@ -237,6 +241,7 @@ class _Planner:
     reporter: ProgressReporter
     deadline: Deadline
     brief: bool = False  # without what is only told of a plan
+    most_runs: int = SHORTEST_TIME_RUNS
 
     @classmethod
     def of(
@@ -418,7 +423,7 @@ class _Planner:
         """Return the request of a job whose strokes are of reasonable size and within reach."""
         self.reporter.stage("path")
         request = build_request(scene, self.options, self.objective, self.reporter, deadline)
-        request = replace(request, proves=not self.brief)
+        request = replace(request, proves=not self.brief, most_runs=self.most_runs)
         for number, stroke in enumerate(request.strokes):
             require_reasonable_size(scene, stroke, request.cell.robot.dof, self.options)
             require_sound_path(scene, stroke)

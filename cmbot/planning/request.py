@@ -12,7 +12,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, SceneError
 from cmbot.common.representation import ShortRepr
-from cmbot.planning.budget import Deadline
+from cmbot.planning.budget import SHORTEST_TIME_RUNS, Deadline
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.bent_tool import BentTool
@@ -77,6 +77,8 @@ class StrokeRequest(ShortRepr):
         The travel of the joints is minimised in place of the objective, which has next to nothing to gain.
     proves : bool
         The lower bound is proven where that is possible, and found of laws that were chosen.
+    most_runs : int
+        Of optimise-and-certify at most.
     deadline : Deadline
     reporter : ProgressReporter
     """
@@ -95,6 +97,7 @@ class StrokeRequest(ShortRepr):
     tool_share: float = 1.0
     least_travel: bool = False
     proves: bool = True
+    most_runs: int = SHORTEST_TIME_RUNS
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 

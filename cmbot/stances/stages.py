@@ -161,7 +161,7 @@ class Judge:
                 why = "of the rasters are not reached"
                 rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
                 return result.rejected("plan", rejection)
-            made = plan_candidate(scene, options, deadline)
+            made = plan_candidate(scene, options, deadline, wanted=result.own)
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
         figures = figures_of(made, result.candidate)

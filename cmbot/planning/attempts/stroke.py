@@ -77,7 +77,8 @@ def plan_stroke(
             if isinstance(trial.outcome, Solved):
                 break
         return PlannedStroke(trial=trial, runs=budget.used)
-    budget = Budget(runs=SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS)
+    runs = SHORTEST_TIME_RUNS if request.task.path.open_legs else RUNS
+    budget = Budget(runs=min(runs, request.most_runs))
     request = with_enough_via_points(request)
     first = Attempt.of(request)
     if stays and request.cell.options.knots == "sliding":

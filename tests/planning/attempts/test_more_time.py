@@ -10,15 +10,19 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from quiet import quiet_scene
+from small_scenes import SHORT
 
 from cmbot import OptimisationFailed, Plan, load_scene, plan
 from cmbot.elastic.modes import arm_modes
 from cmbot.planning import bending_arm
+from cmbot.planning.attempts.agenda import Trial
 from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.stroke import plan_stroke
 from cmbot.planning.initial_guess import InitialGuess
-from cmbot.planning.request import build_request
+from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.timing.quiet_laws import quiet_laws
 from cmbot.planning.timing.timing import is_coarse, with_enough_via_points
+from cmbot.planning.torque import Optimised
 from cmbot.toolpath import LegLaw
 
 SOFT = (2e4, 2e4, 1e5, 4e3, 4e3, 4e3)
@@ -116,3 +120,52 @@ def test_where_no_path_is_optimised_laws_are_chosen_along_the_guess(monkeypatch:
     scene = load_scene(mast(2.0, knots="sliding"))
     attempt = Attempt.of(build_request(scene, scene.planner, None)).quiet()
     assert attempt.timing is not None and len(attempt.timing.laws) == 1
+
+
+@pytest.mark.parametrize("leads", [True, False])
+def test_no_laws_are_chosen_along_a_path_to_whose_start_nothing_leads(
+    leads: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Then along one that starts where the arm is."""
+
+    def fails(asked: StrokeRequest, *_: object, **__: object) -> None:
+        raise asked.path_not_found("no collision-free approach was found", asked.state.posture)
+
+    if not leads:
+        monkeypatch.setattr("cmbot.planning.attempts.motion.approach_way", fails)
+    refused = Mock(side_effect=OptimisationFailed("nothing was found", constraint="jerk", violation=1.0))
+    monkeypatch.setattr("cmbot.planning.attempts.attempt.optimise", refused)
+    monkeypatch.setattr(
+        "cmbot.planning.attempts.stroke.searched_motion",
+        lambda first, *_: Trial(attempt=first, outcome=first.guess),
+    )
+    scene = load_scene(
+        SHORT
+        | {
+            "tool_path": SHORT["tool_path"] | {"speed_profile": {"kind": "quiet"}},
+            "planner": {"knots": "sliding"},
+        }
+    )
+    request = build_request(scene, scene.planner, None)
+    plan_stroke(request)
+    (call,) = refused.call_args_list
+    start = call.args[0].parametrization.via_points[0]
+    assert (np.abs(start - request.state.posture).max() > 0.01) == leads
+
+
+def test_what_laws_are_chosen_along_is_what_is_planned_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cmbot.planning.attempts.attempt.optimise", Optimised.start)
+    scene = load_scene(mast(2.0, knots="sliding"))
+    attempt = Attempt.of(build_request(scene, scene.planner, None))
+    assert isinstance(attempt.guess, InitialGuess) and not attempt.guess.optimised
+    path = attempt.guess.problem.parametrization.trajectory
+    timed = attempt.quiet()
+    monkeypatch.setattr("cmbot.planning.timing.quiet_laws.quiet_laws", lambda *_: ((), None))
+    plain = attempt.quiet()
+    for each in (timed, plain):
+        assert isinstance(each.guess, InitialGuess) and each.guess.optimised
+        problem = each.guess.problem
+        # No peak below what the path has at rest is sought.
+        assert problem.lower_bound * problem.scale >= problem.at_via_points.max()
+        np.testing.assert_allclose(problem.parametrization.via_points[-1], path.q[-1], atol=1e-6)
+    assert timed.timing is not None and plain.timing is None
