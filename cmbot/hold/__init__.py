@@ -10,6 +10,7 @@ from cmbot.hold.holding import (
     FootUse as FootUse,
     Holding as Holding,
     bears as bears,
+    needed_all_over as needed_all_over,
     needed_by_load as needed_by_load,
     share_of_bounds as share_of_bounds,
 )

@@ -67,7 +67,8 @@ class Friction:
         self.motions = np.column_stack([np.sin(tilt) * np.cos(way), np.sin(tilt) * np.sin(way), np.cos(tilt)])
         even = np.tile([1.0, 0.0, 0.0], (len(tilt), 1))
         by_goal = self.work(even, self.motions)[3] @ self.from_goal
-        self._by_load = (np.column_stack([self.motions, -by_goal[:, 1:]]) / by_goal[:, :1]).T
+        # Of a contact that is pressed all over: what a motion asks, and its derivatives, by the load (5, K).
+        self.by_load = (np.column_stack([self.motions, -by_goal[:, 1:]]) / by_goal[:, :1]).T
 
     def least(self, load: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return what a contact that is pressed all over needs at least (N,), and against which motion (N,).
@@ -75,7 +76,7 @@ class Friction:
         Of loads (N, 5): friction and torsion by the friction coefficient, and E. With pressures that are
         linear in the force P and E a motion does the work P g0 + E . g.
         """
-        needed = load @ self._by_load
+        needed = load @ self.by_load
         which = needed.argmax(axis=1)
         return needed[np.arange(len(load)), which], which
 

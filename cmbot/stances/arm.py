@@ -157,6 +157,8 @@ class BaseArm:
             length[~better] *= 0.4
         if loads.objective == "sway" and len(q):
             value = self.figures(q, number[of], loads)[0]
+        elif loads.objective == "hold":
+            value = loads.adhesion(number[of], self._loaded(q, number[of], loads)[1])[0]
         q, of, value = self._best(q, of, value, 1)
         least = np.full((len(FIGURES), len(bases)), np.nan)
         least[0] = np.inf
@@ -212,11 +214,14 @@ class BaseArm:
     def _ranked(
         self, q: FloatArray, stance: IntArray, wrench: FloatArray, push: FloatArray, loads: StanceLoads
     ) -> FloatArray:
-        """What is ranked (N,); in place of the sway the sag, mm, which falls with it and costs less."""
+        """What is ranked (N,), or what falls with it and costs less.
+
+        In place of the sway the sag, mm, and of the adhesion that of contacts that are pressed all over.
+        """
         if loads.objective == "torque":
             return loads.torque(stance, wrench)[0]
         if loads.objective == "hold":
-            return loads.adhesion(stance, wrench)[0]
+            return loads.adhesion(stance, wrench, nearly=True)[0]
         if loads.objective == "use":
             return loads.use(stance, wrench)
         return 1e3 * self._sag(q, stance, push, loads)

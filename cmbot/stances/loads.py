@@ -13,7 +13,7 @@ import pinocchio as pin
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic import SharedFrame, with_legs
 from cmbot.elastic.first_order import Bases
-from cmbot.hold import Foot, bears, needed_by_load, share_of_bounds
+from cmbot.hold import Foot, bears, needed_all_over, needed_by_load, share_of_bounds
 from cmbot.robot import Climber, HoldingJoint, Robot, holding_rows, leg_compliance
 from cmbot.scene import Scene, axis_point, feet_at
 from cmbot.stances.bounds import Bounds, StanceObjective
@@ -222,14 +222,20 @@ class StanceLoads:
         R = self.rotation[of]
         return np.hstack([np.einsum("kij,kj->ki", R, part) for part in (force, torque)])
 
-    def adhesion(self, of: IntArray, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Adhesion (N,) that the feet need, and its gradients (N, 6); zero where none is flat."""
+    def adhesion(
+        self, of: IntArray, wrench: FloatArray, *, nearly: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Adhesion (N,) that the feet need, and its gradients (N, 6); zero where none is flat.
+
+        What they need `nearly` is quicker: see `needed_all_over`.
+        """
         value, gradient = np.zeros(len(of)), np.zeros((len(of), 6))
         for foot, rows, load, by_wrench in self._by_foot(of, wrench):
             if foot.contact is None:
                 continue
-            needed, by_load = needed_by_load(foot, load, value[rows])
-            more = needed > value[rows]
+            known = value[rows]
+            needed, by_load = needed_all_over(foot, load) if nearly else needed_by_load(foot, load, known)
+            more = needed > known
             value[rows[more]] = needed[more]
             gradient[rows[more]] = np.einsum("ki,kij->kj", by_load[more], by_wrench[more])
         return value, gradient
@@ -256,7 +262,7 @@ class StanceLoads:
         if self.objective in ("torque", "use"):
             by_torque = self.torque(of, wrench)[1]
         elif self.objective == "hold":
-            by_torque = self.adhesion(of, wrench)[1][:, 3:]
+            by_torque = self.adhesion(of, wrench, nearly=True)[1][:, 3:]
         elif self._stiffness is None:
             by_torque = self.torque(of, wrench)[1]
         else:

@@ -7,7 +7,7 @@ import pytest
 from finite_differences import finite_difference
 from numpy.typing import NDArray
 
-from cmbot.hold import AdhesionPeak, Contact, Foot, Gap, Holding, bears
+from cmbot.hold import AdhesionPeak, Contact, Foot, Gap, Holding, bears, needed_all_over, needed_by_load
 
 FloatArray = NDArray[np.float64]
 
@@ -176,6 +176,20 @@ def test_gradients(foot: Foot, rng) -> None:
         # All of them at once: each depends on its own wrench alone.
         expected = finite_difference(lambda by, f=function, w=wrench: f(w + by)[0], np.zeros(6), 1e-3)
         np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+def test_what_a_contact_that_is_pressed_all_over_needs_is_near_and_has_a_gradient(
+    gap: Gap, rng: np.random.Generator
+) -> None:
+    foot = replace(PLAIN, gap=gap)
+    load = rng.normal(size=(300, 6)) * [500, 500, 300, 10, 10, 20] - [0, 0, 600, 0, 0, 0]
+    value, gradient = needed_all_over(foot, load)
+    pressed = np.maximum(needed_by_load(foot, load)[0] - load[:, 2], 0.0)
+    assert (np.abs(value - load[:, 2] - pressed) <= 0.2 * pressed + 1e-9).all()
+    by = finite_difference(lambda d: needed_all_over(foot, load + d)[0], np.zeros(6), 1e-4)
+    # But where another motion, or tipping, begins to count.
+    assert (np.abs(gradient - by).max(axis=1) < 1e-5).mean() > 0.99
 
 
 @pytest.mark.parametrize("gap", ["none", "allowed"])
