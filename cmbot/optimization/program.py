@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar, cast
+from typing import Protocol, Self, TypeVar, cast
 
 import numpy as np
 
@@ -71,6 +71,11 @@ class Linearization:
     d_v: FloatArray
     d_a: FloatArray
     cuts: tuple[Linearization, ...] = ()
+
+    @classmethod
+    def by_position(cls, value: FloatArray, d_q: FloatArray, cuts: tuple[Self, ...] = ()) -> Self:
+        """Return that of a function of the position alone."""
+        return cls(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q), cuts)
 
     def scaled(self, factor: FloatArray | float) -> Linearization:
         """Return it times `factor`, a number or (N,)."""

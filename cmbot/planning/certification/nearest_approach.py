@@ -7,12 +7,12 @@ of the joints from there times their reach. Where that is not enough for a pair 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.trajectory import QuinticTrajectory, bernstein_coefficients, halves
 
 # What coal's distances may be too large, m.
@@ -72,11 +72,10 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
     control = bernstein_coefficients(trajectory.coefficients)
     start, width = trajectory.t[:-1], np.diff(trajectory.t)
     reach = clearances.pair_reach
+    nearest = NearestApproach(time=float(start[0]), distance=np.inf, pair=-1, bound=np.inf)
     if len(reach) == 0:
-        return NearestApproach(time=float(start[0]), distance=np.inf, pair=-1, bound=np.inf)
+        return nearest
     alive = np.ones((len(start), len(reach)), dtype=np.bool_)
-    # Nothing is nearer than in the middles to begin with: what is found first rules out most of the rest.
-    nearest = NearestApproach(time=0.0, distance=np.inf, pair=-1, bound=np.inf)
     bound = np.inf
     halving = 0
     while len(start):
@@ -85,12 +84,9 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         travel = np.abs(control - q[..., None]).max(axis=-1) @ reach.T
         middle = start + 0.5 * width
         if halving == 0:
+            # Nothing is nearer than in the middles to begin with: what is found first rules out most.
             guide = clearances.query(q)
-            smallest = _known(guide.distance)
-            k = int(smallest.argmin())
-            nearest = NearestApproach(
-                time=float(middle[k]), distance=float(smallest[k]), pair=int(guide.pair[k]), bound=0.0
-            )
+            nearest = _nearest(middle, _known(guide.distance), guide.pair)
         if alive.sum() > _MAX_LEFT_PAIRS * len(q):
             lower = clearances.lower_bounds(q) - travel
         else:
@@ -100,10 +96,7 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         measured = _known(clearances.distances(q, row, pair))
         lower[row, pair] = measured - travel[row, pair]
         if len(measured) and measured.min() < nearest.distance:
-            k = int(measured.argmin())
-            nearest = NearestApproach(
-                time=float(middle[row[k]]), distance=float(measured[k]), pair=int(pair[k]), bound=0.0
-            )
+            nearest = _nearest(middle[row], measured, pair)
         undecided = alive & ~(lower >= nearest.distance - resolution)
         some = undecided.any(axis=1)
         if halving == _MAX_SEGMENT_HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
@@ -115,12 +108,13 @@ def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution:
         width = np.concatenate([width, width])
         alive = np.concatenate([undecided[some], undecided[some]])
         halving += 1
-    return NearestApproach(
-        time=nearest.time,
-        distance=nearest.distance,
-        pair=nearest.pair,
-        bound=float(np.minimum(bound, nearest.distance)) - _DISTANCE_ERROR_M,
-    )
+    return replace(nearest, bound=float(np.minimum(bound, nearest.distance)) - _DISTANCE_ERROR_M)
+
+
+def _nearest(time: FloatArray, distance: FloatArray, pair: IntArray) -> NearestApproach:
+    """The least of distances at times; by it alone nothing is bounded."""
+    k = int(distance.argmin())
+    return NearestApproach(time=float(time[k]), distance=float(distance[k]), pair=int(pair[k]), bound=0.0)
 
 
 def _known(distance: FloatArray) -> FloatArray:

@@ -49,8 +49,7 @@ class _SignedTorque(ABC):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return torque/bound - 1 and -torque/bound - 1, (N, 2n)."""
         share = self._torque(efforts_of(self.dynamics, states)) / self.bound
-        value = np.hstack([share - 1, -share - 1])
-        return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
+        return _numbered(np.hstack([share - 1, -share - 1]))
 
     def _signed(self, component: IntArray) -> tuple[IntArray, FloatArray]:
         """The joints of components, and the factors that make shares of their torques."""
@@ -92,8 +91,7 @@ class FootHold:
         """Return share/bound - 1, (N, 1)."""
         wrench = efforts_of(self.dynamics, states).guardrail_wrench
         share, _ = self.holding.share(wrench, self.inside * (1 + threshold))
-        value = share[:, None] / self.inside - 1
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return _numbered(share[:, None] / self.inside - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the share."""
@@ -158,8 +156,7 @@ class ToolDeviation(_OfTask):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
         offset = self.task.path.leg_offset(states.t, self._tool(states).tool_point)
-        value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return _numbered(np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the distance; its cuts are offsets across the leg in several directions.
@@ -171,14 +168,13 @@ class ToolDeviation(_OfTask):
         offset = self.task.path.leg_offset(states.t, tool.tool_point) / self.bound
         distance = np.linalg.norm(offset, axis=1)
         d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _ZERO_NORM)[:, None] / self.bound, J)
-        still = np.zeros_like(d_q)
         leg = self.task.path.leg_directions(states.t)
         # The first direction is the distance's own.
         directions = _directions_across(leg, offset)[1:]
         value = (directions * offset).sum(axis=2) - 1
         by_q = directions.transpose(1, 0, 2) @ J / self.bound
-        cuts = (Linearization(value[k], by_q[:, k], still, still) for k in range(len(directions)))
-        return Linearization(distance - 1, d_q, still, still, tuple(cuts))
+        cuts = (Linearization.by_position(value[k], by_q[:, k]) for k in range(len(directions)))
+        return Linearization.by_position(distance - 1, d_q, tuple(cuts))
 
 
 @dataclass(frozen=True)
@@ -194,17 +190,14 @@ class ToolLag(_OfTask):
         path = self.task.path
         away = self._tool(states).tool_point - path.position(states.t)
         share = np.einsum("ki,ki->k", away, path.leg_directions(states.t))[:, None] / self.bound
-        value = np.hstack([share - 1, -share - 1])
-        return value, np.broadcast_to(np.arange(2), value.shape)
+        return _numbered(np.hstack([share - 1, -share - 1]))
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the lag of one sign at each state."""
         k, sign = np.arange(len(component)), np.where(component == 0, 1.0, -1.0)
         by_point = (sign / self.bound)[:, None] * self.task.path.leg_directions(states.t)
         d_q = np.einsum("ki,kij->kj", by_point, self._tool(states).jacobian[:, :3])
-        return Linearization(
-            self.sample(states)[0][k, component], d_q, np.zeros_like(d_q), np.zeros_like(d_q)
-        )
+        return Linearization.by_position(self.sample(states)[0][k, component], d_q)
 
 
 @dataclass(frozen=True)
@@ -218,7 +211,7 @@ class ToolRotation(_OfTask):
         """Return angle/bound - 1, (N, 1)."""
         tool = self._tool(states)
         value = self.task.rotation(tool.tool_rotation, self._goals(tool, states))[:, None] / self.bound - 1
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return _numbered(value)
 
     def _goals(self, tool: ToolBatch, states: StateSamples) -> ToolPoses:
         """The timed orientations where the tool is: its point plays no part."""
@@ -233,8 +226,7 @@ class ToolRotation(_OfTask):
         J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
         angle = np.linalg.norm(turn, axis=1)
         d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _ZERO_NORM)[:, None], J)
-        still = np.zeros_like(d_q)
-        return Linearization(angle - 1, d_q, still, still)
+        return Linearization.by_position(angle - 1, d_q)
 
 
 @dataclass(frozen=True)
@@ -251,8 +243,7 @@ class ToolTilt(_OfTask):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return (chord/largest chord)^2 - 1, (N, 1)."""
         z, z_goal = self._axes(states)
-        value = ((z - z_goal) ** 2).sum(axis=1, keepdims=True) / self._chord**2 - 1
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return _numbered(((z - z_goal) ** 2).sum(axis=1, keepdims=True) / self._chord**2 - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the squared chord; its cuts are tangents where the tool would lean in several directions.
@@ -264,13 +255,12 @@ class ToolTilt(_OfTask):
         square = (away**2).sum(axis=1)
         # An axis z moves by (rates of turn) x z.
         d_q = 2 * np.einsum("ki,kij->kj", cross(z, away), turns)
-        still = np.zeros_like(d_q)
         u = _directions_across(z_goal, away)
         # Of a paraboloid: |x|^2 >= 2 u x - |u|^2.
         value = 2 * (u * away).sum(axis=2) - 2
         by_q = 2 * np.einsum("cki,kij->ckj", cross(z, u), turns)
-        cuts = (Linearization(value[k], by_q[k], still, still) for k in range(len(u)))
-        return Linearization(square - 1, d_q, still, still, tuple(cuts))
+        cuts = (Linearization.by_position(value[k], by_q[k]) for k in range(len(u)))
+        return Linearization.by_position(square - 1, d_q, tuple(cuts))
 
     @property
     def _chord(self) -> float:
@@ -294,8 +284,7 @@ class ToolSpeed(_OfTool):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return speed/bound - 1, (N, 1)."""
         velocity = np.einsum("ijk,kj->ki", self._tool(states).leading_jacobian[:3], states.v)
-        value = np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return _numbered(np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the speed."""
@@ -325,7 +314,7 @@ class ProcessSpeed(_OfTask):
         fast = np.linalg.norm(velocity, axis=1) * per_speed - 1
         slow = 1 - np.einsum("ki,ki->k", velocity, along) * per_speed
         value = np.where(per_speed[:, None] > 0, np.stack([fast, slow], axis=1) / self.bound, 0.0) - 1
-        return value, np.broadcast_to(np.arange(2), value.shape)
+        return _numbered(value)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize one of the two at each state."""
@@ -344,6 +333,11 @@ class ProcessSpeed(_OfTask):
         asked = self.task.path.process_speed(states.t)
         per_speed = np.divide(1.0, asked, out=np.zeros_like(asked), where=asked > 0)
         return per_speed, self.task.path.leg_directions(states.t)
+
+
+def _numbered(value: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Values (N, c), and the numbers of their components."""
+    return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
 
 
 def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
@@ -466,4 +460,4 @@ class ClearanceMargin:
         nearest = [self.clearances.nearest(q, int(pair)) for q, pair in zip(states.q, component, strict=True)]
         value = np.array([(self.margin - near.distance) / self.scale for near in nearest])
         d_q = np.array([-near.gradient / self.scale for near in nearest]).reshape(states.q.shape)
-        return Linearization(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+        return Linearization.by_position(value, d_q)

@@ -188,8 +188,7 @@ class PostureObjective:
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
-        value, gradient = self.function(states.q)
-        return Linearization(value, gradient, np.zeros_like(gradient), np.zeros_like(gradient))
+        return Linearization.by_position(*self.function(states.q))
 
     def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return its value."""
