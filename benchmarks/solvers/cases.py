@@ -23,8 +23,7 @@ from cmbot.optimization.exchange import Result, minimize_smoothed_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.initial_guess import InitialGuess, initial_guess
 from cmbot.planning.request import StrokeRequest, build_request
-from cmbot.planning.torque.decomposition import exchange_options
-from cmbot.planning.torque.feasibility import check_feasible
+from cmbot.planning.torque.decomposition import check_feasible, exchange_options
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Postures
 from cmbot.scene import Scene

@@ -17,6 +17,8 @@ from cmbot.identification.design import (
 )
 from cmbot.identification.estimation import (
     Identification as Identification,
+    Part as Part,
+    Slip as Slip,
     Weight as Weight,
     estimate as estimate,
 )
@@ -34,7 +36,6 @@ from cmbot.identification.measurements import (
     is_sheet as is_sheet,
     read_measurements as read_measurements,
 )
-from cmbot.identification.misfit import Part as Part, Slip as Slip
 from cmbot.identification.model import (
     DeflectionModel as DeflectionModel,
     SagAlong as SagAlong,

@@ -21,9 +21,8 @@ from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
-from cmbot.identification.estimation import Identification, estimate
+from cmbot.identification.estimation import Identification, Part, Slip, estimate, parts
 from cmbot.identification.measurements import Measurements
-from cmbot.identification.misfit import Part, Slip, parts
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm
 from cmbot.identification.problem import MatchedFrequency, Problem
 from cmbot.robot import Dynamics, Kinematics, Robot

@@ -7,17 +7,15 @@ from cmbot.robot.climber import (
 )
 from cmbot.robot.description.completion import AttachedTool as AttachedTool, ToolShape as ToolShape
 from cmbot.robot.description.files import RobotFiles as RobotFiles, robot_files as robot_files
-from cmbot.robot.description.hulls import (
-    convex_hull as convex_hull,
-    encloses_volume as encloses_volume,
-    solid_points as solid_points,
-)
 from cmbot.robot.description.limits_file import RATE_KEYS as RATE_KEYS
 from cmbot.robot.description.mesh_file import (
     box_about as box_about,
+    convex_hull as convex_hull,
+    encloses_volume as encloses_volume,
     faces_of as faces_of,
     is_mesh as is_mesh,
     locate_meshes as locate_meshes,
+    solid_points as solid_points,
     vertices_of as vertices_of,
 )
 from cmbot.robot.description.self_collision import (

@@ -19,15 +19,17 @@ from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.reading.validation import counted, hint, shown
 from cmbot.robot.description.frames import Following, followed, row_of
-from cmbot.robot.description.hulls import convex_hull, encloses_volume, solid_points
 from cmbot.robot.description.mesh_file import (
     FARTHEST,
+    convex_hull,
+    encloses_volume,
     is_mesh,
     is_near,
     locate_meshes,
     mesh_loader,
     replace_unreadable,
     require_near_meshes,
+    solid_points,
     vertices_of,
 )
 from cmbot.robot.description.self_collision import NEAR, near_pairs

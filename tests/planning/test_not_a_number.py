@@ -16,8 +16,7 @@ from small_scenes import short_scene
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan
-from cmbot.planning.certification.certificate import Certificate, Check, certify
-from cmbot.planning.certification.joint_checks import continuity_check
+from cmbot.planning.certification.certificate import Certificate, Check, certify, continuity_check
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.trajectory import Extrema, Pieces, QuinticTrajectory

@@ -24,7 +24,7 @@ from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
-from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.torque.problem import TaskManifold
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics
 from cmbot.scene import load_scene

@@ -14,7 +14,7 @@ from robot_files import replace
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, ModelError
 from cmbot.robot import AttachedTool, Dynamics, Kinematics, Robot, ToolShape, load_robot
-from cmbot.robot.description.hulls import body_of
+from cmbot.robot.description.mesh_file import body_of
 
 FOREIGN = Path(__file__).parent / "foreign"
 BARE = FOREIGN / "no_masses" / "acme_support" / "urdf" / "acme.urdf"

@@ -1,4 +1,7 @@
-"""Torques and tool of a trajectory, enclosed for all times: what was found, and what bounds it."""
+"""Torques and tool of a trajectory, enclosed for all times: what was found, and what bounds it.
+
+So is how far the tool's speed is from that of its process.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,9 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.enclosed_hold import EnclosedHold
 from cmbot.planning.certification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
-from cmbot.planning.certification.process_speed import speed_deviation
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
+from cmbot.toolpath import ToolPath
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 
 # How far bounds may lie beyond what was found: of torques, as a share of the bound or of the largest value;
@@ -22,6 +25,8 @@ from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 _TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8
 # Pieces of a trajectory at most, a segment, before the remainder of interpolation stays what it is.
 _MAX_PIECES_PER_SEGMENT = 64
+# How far the bound may lie above what was found, as a share of the process speed.
+_SPEED_RESOLUTION = 1e-6
 
 
 class EnclosedMotion:
@@ -255,3 +260,42 @@ class EnclosedMotion:
 
 def _norm(vectors: FloatArray, piece: IntArray) -> FloatArray:
     return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
+def speed_deviation(path: ToolPath, pieces: Pieces, velocity: FloatArray, remainder: FloatArray) -> Peak:
+    """Enclose the share by which the tool's speed misses that of the process.
+
+    Parameters
+    ----------
+    path : ToolPath
+    pieces : Pieces
+        K of them, none of which has a break of the path inside.
+    velocity : (K (d + 1), 3), m/s
+        Of the tool point, at the points of interpolation.
+    remainder : (K,), m/s
+        What interpolation may miss of it.
+
+    Notes
+    -----
+    A speed is not below the velocity's component in any direction. In that of the mean of the control points
+    of a piece, which shrinks, the bound from below is as tight as is asked.
+    """
+    asked = path.process_speed(pieces.middle)
+    on = asked > 0
+    if not on.any():
+        return Peak(time=float(pieces.trajectory.t[0]), value=0.0, bound=0.0)
+    speed = asked[on]
+
+    def missed(control: FloatArray, piece: IntArray) -> FloatArray:
+        mean = control.mean(axis=2)
+        along = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
+        above = np.linalg.norm(control, axis=1) / speed[piece, None] - 1
+        below = 1 - np.einsum("kdn,kd->kn", control, along) / speed[piece, None]
+        return np.asarray(np.maximum(above, below))
+
+    def exact(control: FloatArray, piece: IntArray) -> FloatArray:
+        return np.asarray(np.abs(np.linalg.norm(control, axis=1) / speed[piece, None] - 1))
+
+    between = Pieces(trajectory=pieces.trajectory, start=pieces.start[on], end=pieces.end[on])
+    control = pieces.control_points(velocity)[on]
+    return highest(between, control, missed, remainder[on] / speed, _SPEED_RESOLUTION, exact)

@@ -11,6 +11,8 @@ with, for a quiet stroke whose base bends, (1/2) sigma mean_t |Y(t) q''(t)|^2 be
 where accelerations change slowly, Y in the postures of the guess, in units of its root mean square there;
 subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance. epsilon is the option
 `peak_tolerance` where p is its lower bound, and `least_peak_tolerance` where that is missed.
+
+Via-points move on manifolds: the postures that hold the tool task.
 """
 
 from __future__ import annotations
@@ -22,10 +24,13 @@ import numpy as np
 
 from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import OptimisationFailed
 from cmbot.common.limit import Limit
 from cmbot.elastic.modes import linearised
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
+from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
+from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     FootHold,
@@ -38,11 +43,15 @@ from cmbot.planning.torque.constraints import (
     ToolSpeed,
     ToolTilt,
 )
-from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import Objective
-from cmbot.robot import Dynamics, Robot
+from cmbot.robot import Dynamics, Postures, Robot, ToolBatch
+from cmbot.toolpath import ToolPoses
 from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 
+# Newton steps that project moved via-points onto the tool task, and the error that they leave.
+_NEWTON_STEPS = 13
+_TASK_TOLERANCE = 1e-11
 # Sampled constraints are kept this share, divided by the squared samples per segment, inside their bounds,
 # for what parabolas through samples do not see; bounds on polynomials are met at their exact extrema and need
 # only room for the solver's tolerance.
@@ -58,6 +67,64 @@ _MEAN_SAMPLES = 3
 # Weight of the mean square of a quiet stroke's sway beside that of the objective, and a root mean square, m,
 # below which it matters less.
 _SWAY_WEIGHT, _STILL_M = 0.005, 1e-5
+
+
+@dataclass(frozen=True)
+class TaskManifold:
+    """The postures that hold the tool task at n via-points (a retraction of the parametrization)."""
+
+    postures: Postures
+    task: ToolTask
+    goals: ToolPoses  # of each
+    times: FloatArray  # (n,), s
+    bent: BentTool | None = None  # None: the rigid arm's tool holds the task
+
+    def tangents(self, q: FloatArray) -> FloatArray:
+        """Directions (n, a, d) of the self-motion at postures `q` (n, d), orthonormal by their metric."""
+        return null_space(self.postures, self.task, q, self._tool(q, np.arange(len(q))))
+
+    def _tool(self, q: FloatArray, which: IntArray) -> ToolBatch:
+        """The tool in postures `q` (k, d) of some via-points."""
+        return self.postures.tool_at(q) if self.bent is None else self.bent.at(self.times[which], q)
+
+    def retract(
+        self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Move via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``, with N the tangents.
+
+        The product is that of the metric of the postures.
+
+        Returns and errors are those of `cmbot.trajectory.Retraction`.
+        """
+        q, reached = project_onto_task(
+            self.postures,
+            self.task,
+            q[which] + np.einsum("ka,kai->ki", u, tangents),
+            self.goals[which],
+            steps=_NEWTON_STEPS,
+            tolerance=_TASK_TOLERANCE,
+            held=tangents,
+            tool_of=lambda at, some: self._tool(at, which[some]),
+        )
+        at = self._tool(q, which)
+        if not reached.all():
+            error = self.task.errors(at.tool_point, at.tool_rotation, self.goals[which])
+            raise OptimisationFailed(
+                "a via-point moved to where the tool task cannot be held",
+                constraint="tool task at a via-point",
+                violation=float(np.abs(error).max()),
+            )
+        metric = self.postures.metric
+        rows = metric.coordinates(metric.coordinates(tangents))
+        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), rows], axis=1)
+        rhs = np.zeros((len(q), A.shape[1], u.shape[1]))
+        rhs[:, A.shape[1] - u.shape[1] :] = np.eye(u.shape[1])
+        return q, np.linalg.solve(A, rhs).transpose(0, 2, 1)
+
+    def part(self, first: int, last: int) -> TaskManifold:
+        """Return the task at the via-points `first` to `last`."""
+        some = slice(first, last + 1)
+        return TaskManifold(self.postures, self.task, self.goals[some], self.times[some], self.bent)
 
 
 class TorqueProblem:

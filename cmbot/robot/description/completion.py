@@ -19,9 +19,8 @@ from cmbot.common.reading.fields import Mass, Vector
 from cmbot.common.reading.validation import CheckedFields, counted, hint, shown
 from cmbot.common.representation import ShortRepr
 from cmbot.robot.description.frames import links_beside, row_of
-from cmbot.robot.description.hulls import Body, body_of
 from cmbot.robot.description.limits_file import read_joint_limits
-from cmbot.robot.description.mesh_file import locate_meshes
+from cmbot.robot.description.mesh_file import Body, body_of, locate_meshes
 
 if TYPE_CHECKING:
     from cmbot.robot.description.files import RobotFiles

@@ -20,8 +20,7 @@ from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, bending_arm, plan
-from cmbot.planning.certification.certificate import Certificate, Check, certify
-from cmbot.planning.certification.joint_checks import continuity_check
+from cmbot.planning.certification.certificate import Certificate, Check, certify, continuity_check
 from cmbot.planning.certification.metrics import figures, measure
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
 from cmbot.simulation import Tracking

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from small_scenes import parts, short_scene, tool_points
 
+from cmbot.planning.certification.certificate import range_check
 from cmbot.planning.certification.enclosed_motion import EnclosedMotion
-from cmbot.planning.certification.joint_checks import range_check
 from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Peak, QuinticTrajectory
 

@@ -32,7 +32,7 @@ from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility.sag_compensation import optimise_bent
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.request import StrokeRequest, build_request
-from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.torque.problem import TaskManifold
 from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.robot import Postures
 from cmbot.scene import PlannerOptions, Scene, load_scene

@@ -22,7 +22,7 @@ from cmbot.planning import Plan, plan
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility import leg_vibration
-from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
+from cmbot.planning.flexibility.vibration_suppression import Change, Window, legs_by_window
 from cmbot.planning.workcell.workcell import Workcell
 from cmbot.simulation import SimulationOptions
 from cmbot.simulation.tracking import elastic_arm_of

@@ -7,9 +7,8 @@ from small_scenes import problem_of, request_of, short_scene, torque_problem
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning import ExchangeReport
-from cmbot.planning.torque import feasibility
-from cmbot.planning.torque.decomposition import optimise
-from cmbot.planning.torque.feasibility import check_feasible
+from cmbot.planning.torque import decomposition
+from cmbot.planning.torque.decomposition import check_feasible, optimise
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics
 
@@ -78,9 +77,9 @@ def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
 def test_stretches_hold_what_is_broken_and_its_surroundings(broken: list[bool]) -> None:
     near = np.zeros(len(broken), dtype=np.bool_)
     for k in np.flatnonzero(broken):
-        near[max(k - feasibility._NEIGHBOURS, 0) : k + feasibility._NEIGHBOURS + 1] = True
+        near[max(k - decomposition._NEIGHBOURS, 0) : k + decomposition._NEIGHBOURS + 1] = True
     found = np.zeros(len(broken), dtype=int)
-    for first, last in feasibility._stretches(np.array(broken)):
+    for first, last in decomposition._stretches(np.array(broken)):
         found[first : last + 1] += 1
     np.testing.assert_array_equal(found, near)
 
@@ -93,12 +92,12 @@ def test_a_jump_in_a_long_path_is_found_by_its_surroundings() -> None:
     problem = TorqueProblem(asked, parametrization_through(asked, via_points, sliding=False), 0.0)
     least_jerk = problem.parametrization.trajectory
     bounds = [bound for bound in problem.bounds if bound.order > 0]
-    broken = feasibility._broken_segments(least_jerk, bounds)
+    broken = decomposition._broken_segments(least_jerk, bounds)
     assert list(np.flatnonzero(broken.any(axis=0))) == [2]
-    ((first, last),) = feasibility._stretches(broken[:, 2])
+    ((first, last),) = decomposition._stretches(broken[:, 2])
     assert last - first < 60
     near, wider = (
-        feasibility._least_share(problem, least_jerk, bounds, 2, first - more, last + more)
+        decomposition._least_share(problem, least_jerk, bounds, 2, first - more, last + more)
         for more in (0, 12)
     )
     # What is far away does nothing for it.

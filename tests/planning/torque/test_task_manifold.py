@@ -10,8 +10,7 @@ from small_scenes import goals_at, off_task, problem_of, short_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.torque.problem import parametrization_through
-from cmbot.planning.torque.task_manifold import TaskManifold
+from cmbot.planning.torque.problem import TaskManifold, parametrization_through
 
 
 @pytest.fixture(scope="module", params=["pose", "axis"])
