@@ -19,7 +19,6 @@ from cmbot.identification.estimation import (
     Identification as Identification,
     Part as Part,
     Slip as Slip,
-    Weight as Weight,
     estimate as estimate,
 )
 from cmbot.identification.location import (

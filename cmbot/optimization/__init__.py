@@ -4,15 +4,10 @@ Read `program`, what is to be solved, then `exchange`, how: `separation` finds v
 `constraint_set` keeps them, `evaluation` gives a program's derivatives, `sqp` and `slsqp` step.
 """
 
-from cmbot.optimization.constraint_set import (
-    OBJECTIVE as OBJECTIVE,
-    ConstraintSet as ConstraintSet,
-    Violation as Violation,
-)
+from cmbot.optimization.constraint_set import OBJECTIVE as OBJECTIVE, ConstraintSet as ConstraintSet
 from cmbot.optimization.exchange import (
     ExchangeOptions as ExchangeOptions,
     ExchangeReport as ExchangeReport,
-    Result as Result,
     minimize_peak as minimize_peak,
 )
 from cmbot.optimization.least_distance import nearest as nearest
@@ -20,10 +15,9 @@ from cmbot.optimization.linearization import linearize as linearize
 from cmbot.optimization.program import (
     KinematicBound as KinematicBound,
     Linearization as Linearization,
-    Program as Program,
     StateFunction as StateFunction,
     StateSamples as StateSamples,
 )
 from cmbot.optimization.qp import piqp_module as piqp_module
 from cmbot.optimization.separation import Separation as Separation, find_violations as find_violations
-from cmbot.optimization.sqp import SqpOptions as SqpOptions, SqpStatus as SqpStatus
+from cmbot.optimization.sqp import SqpOptions as SqpOptions

@@ -48,7 +48,7 @@ from cmbot.planning.precheck import (
     precheck_scene as precheck_scene,
     require_sound_path as require_sound_path,
 )
-from cmbot.planning.progress import Progress as Progress, ProgressReporter as ProgressReporter
+from cmbot.planning.progress import Progress as Progress
 from cmbot.planning.request import (
     JobState as JobState,
     StrokeRequest as StrokeRequest,
@@ -58,7 +58,7 @@ from cmbot.planning.request import (
     task_of as task_of,
     with_cuts as with_cuts,
 )
-from cmbot.planning.result.baseline import Baseline as Baseline, joined_samples as joined_samples
+from cmbot.planning.result.baseline import joined_samples as joined_samples
 from cmbot.planning.result.judgement import (
     baseline_faults as baseline_faults,
     bound_use as bound_use,
@@ -66,7 +66,7 @@ from cmbot.planning.result.judgement import (
     hold_use as hold_use,
     tightest_check as tightest_check,
 )
-from cmbot.planning.result.notes import Note as Note, notes as notes
+from cmbot.planning.result.notes import notes as notes
 from cmbot.planning.result.plan import (
     Plan as Plan,
     Seconds as Seconds,
@@ -75,7 +75,6 @@ from cmbot.planning.result.plan import (
 )
 from cmbot.planning.result.rows import (
     LOAD_HEADINGS as LOAD_HEADINGS,
-    Row as Row,
     load_point as load_point,
     load_rows as load_rows,
     loads as loads,

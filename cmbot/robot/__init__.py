@@ -39,7 +39,6 @@ from cmbot.robot.inspection import (
 )
 from cmbot.robot.joint_kinds import (
     Coupling as Coupling,
-    JointUnits as JointUnits,
     PostureMetric as PostureMetric,
     joint_units as joint_units,
     postures_in_words as postures_in_words,
@@ -65,4 +64,4 @@ from cmbot.robot.loading import (
     other_foot as other_foot,
     srdf_text as srdf_text,
 )
-from cmbot.robot.robot import SAME_PLACE_M as SAME_PLACE_M, Robot as Robot
+from cmbot.robot.robot import Robot as Robot

@@ -27,7 +27,7 @@ from cmbot.robot.limits import JointLimits
 
 # Least length, m, by which moves of joints that slide are measured.
 _MIN_PRISMATIC_SCALE_M = 0.1
-SAME_PLACE_M = 1e-3
+_SAME_PLACE_M = 1e-3
 """Points that are no further apart are one and the same, m."""
 _ZERO_FORCE = (0.0, 0.0, 0.0)
 
@@ -321,7 +321,7 @@ class Robot:
     def base_place(self) -> str:
         """Where the base frame is in W, in words; empty: nearer to its origin than 1 mm."""
         at = self.base_pose.translation
-        return f"({', '.join(f'{x:.4g}' for x in at + 0.0)}) m" if np.linalg.norm(at) > SAME_PLACE_M else ""
+        return f"({', '.join(f'{x:.4g}' for x in at + 0.0)}) m" if np.linalg.norm(at) > _SAME_PLACE_M else ""
 
     @property
     def arm_mass(self) -> float:
