@@ -14,11 +14,11 @@ from cmbot.common.poses import rpy_deg
 from cmbot.common.reading.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
-from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved
-from cmbot.planning.attempts.failure import Failure, NoWay, OutOfTime, attempted, error_of, in_words
+from cmbot.planning.attempts.agenda import Solved
+from cmbot.planning.attempts.failure import NoWay, OutOfTime, attempted, error_of, in_words
 from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.planning.attempts.stroke import PlannedStroke, advice, in_given_time, plan_stroke
-from cmbot.planning.budget import CANDIDATE_RUNS, SHORTEST_TIME_RUNS, Budget, Deadline
+from cmbot.planning.budget import CANDIDATE_RUNS, SHORTEST_TIME_RUNS, Deadline
 from cmbot.planning.composition import composed
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
@@ -299,26 +299,18 @@ class _Planner:
         """
         given, travels_least = scene.with_strokes(scene.strokes), in_least_travel(scene)
         orders = [travels_least, *([given] if travels_least.strokes != given.strokes else [])]
-        refused = list[PlannedStroke]()
-
-        def work(number: int) -> Solved[Plan] | Failure:
-            outcome = self.job(orders[number], self.deadline.part(len(orders) - number))
+        made, refused = list[Plan](), list[tuple[Scene, PlannedStroke]]()
+        for number, order in enumerate(orders):
+            if number and self.deadline.expired():
+                break
+            outcome = self.job(order, self.deadline.part(len(orders) - number))
             if isinstance(outcome, Plan):
-                return Solved(result=outcome)
-            refused.append(outcome)
-            return outcome.trial.failure
-
-        best = Agenda(
-            work=work,
-            key=lambda number: number,
-            remedies=[Remedy(cost=1, propose=lambda trial: iter(range(len(orders))))],
-            budget=Budget(runs=len(orders)),
-            deadline=self.deadline,
-            better=_is_better_order,
-        ).search(0)
-        if not isinstance(best.outcome, Solved):
-            return self.refuse(orders[len(refused) - 1], refused[-1])
-        plan = best.outcome.result
+                made.append(outcome)
+            else:
+                refused.append((order, outcome))
+        if not made:
+            return self.refuse(*refused[-1])
+        plan = made[-1] if _is_better_order(made[-1], made[0]) else made[0]
         names = ", ".join(
             f"{stroke.name}{' backwards' if stroke.backwards else ''}" for stroke in plan.scene.strokes
         )

@@ -49,7 +49,7 @@ class _SignedTorque(ABC):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return torque/bound - 1 and -torque/bound - 1, (N, 2n)."""
         share = self._torque(efforts_of(self.dynamics, states)) / self.bound
-        return _numbered(np.hstack([share - 1, -share - 1]))
+        return numbered(np.hstack([share - 1, -share - 1]))
 
     def _signed(self, component: IntArray) -> tuple[IntArray, FloatArray]:
         """The joints of components, and the factors that make shares of their torques."""
@@ -91,7 +91,7 @@ class FootHold:
         """Return share/bound - 1, (N, 1)."""
         wrench = efforts_of(self.dynamics, states).guardrail_wrench
         share, _ = self.holding.share(wrench, self.inside * (1 + threshold))
-        return _numbered(share[:, None] / self.inside - 1)
+        return numbered(share[:, None] / self.inside - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the share."""
@@ -156,7 +156,7 @@ class ToolDeviation(_OfTask):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
         offset = self.task.path.leg_offset(states.t, self._tool(states).tool_point)
-        return _numbered(np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1)
+        return numbered(np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the distance; its cuts are offsets across the leg in several directions.
@@ -190,7 +190,7 @@ class ToolLag(_OfTask):
         path = self.task.path
         away = self._tool(states).tool_point - path.position(states.t)
         share = np.einsum("ki,ki->k", away, path.leg_directions(states.t))[:, None] / self.bound
-        return _numbered(np.hstack([share - 1, -share - 1]))
+        return numbered(np.hstack([share - 1, -share - 1]))
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the lag of one sign at each state."""
@@ -211,7 +211,7 @@ class ToolRotation(_OfTask):
         """Return angle/bound - 1, (N, 1)."""
         tool = self._tool(states)
         value = self.task.rotation(tool.tool_rotation, self._goals(tool, states))[:, None] / self.bound - 1
-        return _numbered(value)
+        return numbered(value)
 
     def _goals(self, tool: ToolBatch, states: StateSamples) -> ToolPoses:
         """The timed orientations where the tool is: its point plays no part."""
@@ -243,7 +243,7 @@ class ToolTilt(_OfTask):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return (chord/largest chord)^2 - 1, (N, 1)."""
         z, z_goal = self._axes(states)
-        return _numbered(((z - z_goal) ** 2).sum(axis=1, keepdims=True) / self._chord**2 - 1)
+        return numbered(((z - z_goal) ** 2).sum(axis=1, keepdims=True) / self._chord**2 - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the squared chord; its cuts are tangents where the tool would lean in several directions.
@@ -284,7 +284,7 @@ class ToolSpeed(_OfTool):
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return speed/bound - 1, (N, 1)."""
         velocity = np.einsum("ijk,kj->ki", self._tool(states).leading_jacobian[:3], states.v)
-        return _numbered(np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1)
+        return numbered(np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the speed."""
@@ -314,7 +314,7 @@ class ProcessSpeed(_OfTask):
         fast = np.linalg.norm(velocity, axis=1) * per_speed - 1
         slow = 1 - np.einsum("ki,ki->k", velocity, along) * per_speed
         value = np.where(per_speed[:, None] > 0, np.stack([fast, slow], axis=1) / self.bound, 0.0) - 1
-        return _numbered(value)
+        return numbered(value)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize one of the two at each state."""
@@ -335,8 +335,8 @@ class ProcessSpeed(_OfTask):
         return per_speed, self.task.path.leg_directions(states.t)
 
 
-def _numbered(value: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Values (N, c), and the numbers of their components."""
+def numbered(value: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return values (N, c) with the numbers of their components."""
     return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
 
 

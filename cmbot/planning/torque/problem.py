@@ -42,6 +42,7 @@ from cmbot.planning.torque.constraints import (
     ToolRotation,
     ToolSpeed,
     ToolTilt,
+    numbered,
 )
 from cmbot.planning.workcell.bent_tool import BentTool
 from cmbot.planning.workcell.objectives import Objective
@@ -296,8 +297,7 @@ class ScaledObjective:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return the values (N, 1), exact above the threshold."""
-        value = self.objective.values(states, threshold * self.scale)[:, None] / self.scale
-        return value, np.zeros(value.shape, dtype=np.intp)
+        return numbered(self.objective.values(states, threshold * self.scale)[:, None] / self.scale)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the value."""

@@ -29,34 +29,6 @@ def efforts_of(dynamics: Dynamics, states: StateSamples) -> Efforts:
     return states.computed(id(dynamics.robot), partial(dynamics.efforts, states.q, states.v, states.a))
 
 
-class Objective(Protocol):
-    """A quantity, never negative, whose largest value over a motion is minimised."""
-
-    @property
-    def name(self) -> str:
-        """How it is called in options, files and sentences."""
-
-    @property
-    def unit(self) -> str:
-        """Of its values; empty where unknown."""
-
-    @property
-    def reported(self) -> bool:
-        """Whether it is the norm of the torque on the guardrail about O0, which metrics report anyway."""
-
-    def at_rest(self, postures: PostureBatch) -> FloatArray:
-        """Return its values (N,) at rest in N postures."""
-
-    def values(self, states: StateSamples, above: float = -np.inf) -> FloatArray:
-        """Return its values (N,) at N states; what is not above `above` may be given lower."""
-
-    def linearize(self, states: StateSamples) -> Linearization:
-        """Return its values and derivatives at N states."""
-
-    def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
-        """Return quantities whose squares sum to its own, for Gauss-Newton: as smooth as there are."""
-
-
 class WrenchFunction(Protocol):
     """What is minimised: a function of the wrench on the guardrail, such as a plain Python function.
 
@@ -158,11 +130,8 @@ class WrenchObjective:
         )
 
 
-class PostureFunction(Protocol):
-    """A function of the posture alone: values (N,) and gradients (N, n) at postures (N, n), rad."""
-
-    def __call__(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
-        """Evaluate it."""
+PostureFunction = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""A function of the posture alone: from postures (N, n), rad, to values (N,) and gradients (N, n)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +162,14 @@ class PostureObjective:
     def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return its value."""
         return (self.linearize(states),)
+
+
+Objective = WrenchObjective | PostureObjective
+"""A quantity, never negative, whose largest value over a motion is minimised.
+
+It has values at rest in postures and at states, derivatives, and residuals for Gauss-Newton: quantities whose
+squares sum to its own, as smooth as there are.
+"""
 
 
 def objective_of(
