@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ import pinocchio as pin
 from cmbot.accuracy.sway import require_bearing
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import linearised, normal_modes
+from cmbot.elastic.modes import Linearised, linearised, normal_modes
 from cmbot.trajectory import QuinticTrajectory
 
 # Modes at the start, the middle and the end that together carry the motion in between.
@@ -31,36 +31,21 @@ class ElasticPath:
         self.arm, self.trajectory = arm, trajectory
         self._known = dict[float, tuple[FloatArray, ...]]()
 
-    def at(self, times: FloatArray) -> _Matrices:
-        """Return the matrices at ascending `times` (g,), s."""
+    def at(self, times: FloatArray) -> tuple[Linearised, FloatArray]:
+        """Return the arm linearised at ascending `times` (g,), s, and its forces as by `_gyroscopic`."""
         q, v = (self.trajectory.evaluate(times, order) for order in range(2))
         for time in [time for time in self._known if time < times[0]]:
             del self._known[time]
         new = [k for k, time in enumerate(times) if time not in self._known]
         if new:
             at = linearised(self.arm, q[new])
-            gyroscopic = _gyroscopic(self.arm, q[new], at.u, v[new])
-            rows = zip(
-                at.u, at.mass, at.stiffness, at.coupling, gyroscopic, at.sag_slope, at.lever, strict=True
-            )
+            own = (getattr(at, each.name) for each in fields(at))
+            rows = zip(*own, _gyroscopic(self.arm, q[new], at.u, v[new]), strict=True)
             self._known.update(zip(times[new], rows, strict=True))
         stacked = zip(*(self._known[time] for time in times), strict=True)
-        return _Matrices(self.arm, q, *(np.stack(each) for each in stacked))
-
-
-@dataclass(frozen=True, eq=False)
-class _Matrices:
-    """An arm linearised about its equilibria `u` (g, f) in postures `q` (g, n), as by `Linearised`."""
-
-    arm: ElasticArm
-    q: FloatArray
-    u: FloatArray
-    mass: FloatArray
-    stiffness: FloatArray
-    coupling: FloatArray
-    gyroscopic: FloatArray  # (g, f, f): forces by the elastic coordinates' rates, while the joints move
-    sag_slope: FloatArray  # (g, f, n)
-    lever: FloatArray  # (g, 3, f)
+        *parts, gyroscopic = (np.stack(each) for each in stacked)
+        names = (each.name for each in fields(Linearised))
+        return Linearised(**dict(zip(names, parts, strict=True))), gyroscopic
 
 
 class LegVibration:
@@ -78,8 +63,8 @@ class LegVibration:
         knots = path.trajectory.t
         later = knots[(knots > start + 1e-9) & (knots < end + 1e-9)]
         edges = _refined(np.append(start, later), _MATRICES_EVERY)
-        matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end))
-        self._carried = carried = _reduced(matrices, factors, modes)
+        at, gyroscopic = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end))
+        self._carried = carried = _reduced(path.arm, at, gyroscopic, factors, modes)
         lengths = np.diff(edges)
         least = lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD
         doublings = np.maximum(np.ceil(np.log2(least)), 0).astype(int)
@@ -119,7 +104,9 @@ def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     return np.asarray(np.hypot(x[:, 0], x[:, 1]).sum(axis=1))
 
 
-def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> _Carried:
+def _reduced(
+    arm: ElasticArm, at: Linearised, gyroscopic: FloatArray, factors: FloatArray, modes: int
+) -> _Carried:
     """The system with `factors` (C,) on the stiffness.
 
     The stiffness is that of the springs times a factor; the equilibrium hardly changes with it, nor do the
@@ -129,12 +116,12 @@ def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> _Carried:
     shapes = [normal_modes(at.mass[k], at.stiffness[k])[1][:, :most] for k in (0, (last + 1) // 2, last)]
     V = np.linalg.qr(np.hstack(shapes))[0]
     by_case = factors[:, None, None, None]
-    M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ at.arm.stiffness @ V)
+    M, K = V.T @ at.mass @ V, V.T @ at.stiffness @ V + (by_case - 1) * (V.T @ arm.stiffness @ V)
     require_bearing(K[:, -1], factors.tolist())
     own = [normal_modes(M[-1], each) for each in K[:, -1]]
     r = min(modes, *(len(omega) for omega, _ in own))
     omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
-    D = V.T @ at.gyroscopic @ V + (2 * at.arm.robot.damping_ratio / omega[:, 0])[:, None, None, None] * K
+    D = V.T @ gyroscopic @ V + (2 * arm.robot.damping_ratio / omega[:, 0])[:, None, None, None] * K
     forces = V.T @ at.coupling + V.T @ (at.mass @ at.sag_slope) / by_case
     to_tool = np.linalg.norm(at.lever[-1] @ V @ X, axis=1)
     M = np.broadcast_to(M, (len(factors), *M.shape))
