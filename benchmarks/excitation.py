@@ -23,8 +23,8 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import arm_modes
 from cmbot.excitation import PASSAGE_HEADINGS, passage_rows, sway_mm_per_m_s2
 from cmbot.excitation.damper import best_damper
-from cmbot.excitation.passages import PassageLoad, passage
 from cmbot.excitation.response import BAND_HZ, flat_band, ground_loads, modal_response
+from cmbot.excitation.sway import PassageLoad, passage
 from cmbot.excitation.trains import Span, train_of
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import PrescribedWork

@@ -21,15 +21,6 @@ from cmbot.elastic.first_order import BAND_HZ
 from cmbot.excitation.along_work import PostureSystem, tool_along
 from cmbot.excitation.damper import STIFFNESS_FACTORS, DamperGain, best_damper, den_hartog
 from cmbot.excitation.ground import axles_of, read_record
-from cmbot.excitation.passages import (
-    Passage,
-    PassageLoad,
-    Timetable,
-    adhesion_of,
-    passage,
-    resonance_speeds,
-    timetable,
-)
 from cmbot.excitation.response import (
     AXES,
     ModalResponse,
@@ -39,11 +30,18 @@ from cmbot.excitation.response import (
     modal_response,
 )
 from cmbot.excitation.sway import (
+    Passage,
+    PassageLoad,
     RandomSway,
+    Timetable,
+    adhesion_of,
+    passage,
     require_bending,
+    resonance_speeds,
     sampled_tool,
     shaken_adhesion,
     sway_of,
+    timetable,
 )
 from cmbot.excitation.trains import Span, passing_pressure
 from cmbot.excitation.wind import AIR_KG_M3, DRAG, gust_spectrum, link_loads

@@ -115,16 +115,14 @@ from cmbot.planning.workcell.objectives import (
     WrenchObjective as WrenchObjective,
     objective_of as objective_of,
 )
-from cmbot.planning.workcell.stiffness import (
-    covariance_of as covariance_of,
-    modelled_stiffness as modelled_stiffness,
-)
 from cmbot.planning.workcell.units import unit_findings as unit_findings
 from cmbot.planning.workcell.workcell import (
     Workcell as Workcell,
     bending_arm as bending_arm,
+    covariance_of as covariance_of,
     held_guardrail as held_guardrail,
     held_point as held_point,
+    modelled_stiffness as modelled_stiffness,
     resolved_options as resolved_options,
     rigid_parts_remark as rigid_parts_remark,
     robot_of as robot_of,

@@ -24,11 +24,11 @@ from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, task_of
 from cmbot.planning.task import ToolTask, task_dimension
-from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import FAR_REACHES, mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell.workcell import (
     bending_arm,
     held_point,
+    identified_in_words,
     rigid_parts_remark,
     robot_of,
     stiffness_point,

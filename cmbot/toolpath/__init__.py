@@ -13,11 +13,13 @@ from cmbot.toolpath.legs import (
 )
 from cmbot.toolpath.path_source import PathSource as PathSource
 from cmbot.toolpath.raster.face_rows import FaceSurface as FaceSurface
-from cmbot.toolpath.raster.pieces import RowPiece as RowPiece, cells_of as cells_of, without as without
 from cmbot.toolpath.raster.raster import (
     CylinderPatch as CylinderPatch,
     FaceSelection as FaceSelection,
     Raster as Raster,
+    RowPiece as RowPiece,
+    cells_of as cells_of,
+    without as without,
 )
 from cmbot.toolpath.raster.surface import (
     Coverage as Coverage,

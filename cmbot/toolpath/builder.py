@@ -17,8 +17,7 @@ from cmbot.toolpath.leads import CurveWithLeads
 from cmbot.toolpath.legs import AUTO, ArcTo, Goal, Leg
 from cmbot.toolpath.path_source import PathDescription, PathSource
 from cmbot.toolpath.raster.face_rows import FaceRows, FaceSurface
-from cmbot.toolpath.raster.pieces import RowPiece
-from cmbot.toolpath.raster.raster import CylinderPatch, Raster
+from cmbot.toolpath.raster.raster import CylinderPatch, Raster, RowPiece
 from cmbot.toolpath.raster.rows import cylinder_corners, rectangle_axes, rectangle_corners, tool_cylinder
 from cmbot.toolpath.raster.surface import Surface
 from cmbot.toolpath.stretches import Fit, stretches, waypoint_poses

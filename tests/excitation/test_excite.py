@@ -16,8 +16,8 @@ import cmbot
 from cmbot.common.errors import CmbotError, InputError, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.excitation.ground import axles_of, read_record
-from cmbot.excitation.passages import Passage, resonance_speeds, timetable
 from cmbot.excitation.response import modal_response
+from cmbot.excitation.sway import Passage, resonance_speeds, timetable
 from cmbot.excitation.trains import train_of
 from cmbot.excitation.wind import gust_spectrum, link_loads
 from cmbot.planning import Plan

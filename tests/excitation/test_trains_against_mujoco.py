@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from trains_in_mujoco import passed
 
-from cmbot.excitation.passages import PassageLoad, passage
 from cmbot.excitation.response import modal_response
+from cmbot.excitation.sway import PassageLoad, passage
 from cmbot.excitation.trains import Span, train_of
 from cmbot.planning import Plan, bending_arm
 

@@ -25,9 +25,8 @@ from cmbot.planning.result.judgement import (
     travels,
 )
 from cmbot.planning.result.plan import Plan
-from cmbot.planning.workcell.stiffness import identified_in_words
 from cmbot.planning.workcell.units import mistaken_units
-from cmbot.planning.workcell.workcell import held_guardrail, load_remark, tube_warning
+from cmbot.planning.workcell.workcell import held_guardrail, identified_in_words, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, start_entry
 from cmbot.toolpath import FaceSurface

@@ -39,8 +39,7 @@ from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
 from cmbot.planning.result.stroke_plan import StrokePlan, baseline_task, combined
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell.stiffness import covariance_of
-from cmbot.planning.workcell.workcell import bending_arm, sag_of
+from cmbot.planning.workcell.workcell import bending_arm, covariance_of, sag_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import WORK, PlannerOptions, Scene, Stroke, coverage_of, pieces_left_out, rows_alone
 from cmbot.toolpath import Coverage, ToolPath

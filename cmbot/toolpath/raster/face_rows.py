@@ -12,8 +12,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError, optional_module
 from cmbot.common.reading.validation import counted
-from cmbot.toolpath.raster.pieces import MOST_ROWS, Interval, RowPiece, united
-from cmbot.toolpath.raster.raster import FaceSelection, Raster
+from cmbot.toolpath.raster.raster import MOST_ROWS, FaceSelection, Interval, Raster, RowPiece, united
 from cmbot.toolpath.raster.surface import Surface
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.poses import turned_pose
-from cmbot.toolpath.raster.pieces import RowPiece
-from cmbot.toolpath.raster.raster import CylinderPatch, Raster
+from cmbot.toolpath.raster.raster import CylinderPatch, Raster, RowPiece
 
 # Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
 _UPRIGHT_COSINE = 0.98480775

@@ -6,8 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cmbot.toolpath.raster.pieces import Interval, RowPiece, cells_of, united
-from cmbot.toolpath.raster.raster import Raster
+from cmbot.toolpath.raster.raster import Interval, Raster, RowPiece, cells_of, united
 
 # Shares of an area below which nothing is left out.
 _AREA_TOLERANCE = 1e-6

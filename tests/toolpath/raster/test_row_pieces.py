@@ -14,7 +14,7 @@ from cmbot import load_scene
 from cmbot.common.errors import InputError, SceneError
 from cmbot.scene import Scene, coverage_of, pieces_left_out
 from cmbot.toolpath import RowPiece
-from cmbot.toolpath.raster.pieces import cells_of, united, without
+from cmbot.toolpath.raster.raster import cells_of, united, without
 
 RECTANGLE = {"origin": [0, 0, 0], "u": [0.4, 0, 0], "v": [0, 0.2, 0], "spacing_m": 0.1, "stand_off_m": 0.1}
 CYLINDER = {
