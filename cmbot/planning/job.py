@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Generic, Literal, TypeVar
@@ -11,7 +11,6 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import ShortRepr
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
@@ -23,6 +22,11 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
+
+
+def stands_of(name: str, ramp: float) -> tuple[float, float]:
+    """Return how long the arm stands before and after a free move: beside strokes for the force's `ramp`."""
+    return ramp * (name != APPROACH), ramp * (name != RETURN)
 
 
 def free_move_name(stroke: int) -> str:
@@ -186,14 +190,7 @@ class Job(Timeline[Segment]):
     @cached_property
     def work(self) -> Job:
         """What lies between the beginning of the first stroke and the end of the last one, from time 0."""
-        names = [segment.name for segment in self.segments]
-        first, last = (names.index(self.strokes[k].name) for k in (0, -1))
-        begin = self.segments[first].begin
-        return Job(
-            segments=tuple(
-                replace(segment, begin=segment.begin - begin) for segment in self.segments[first : last + 1]
-            )
-        )
+        return _from_zero(at_work(self.segments))
 
     @cached_property
     def figures(self) -> MotionMetrics:
@@ -208,17 +205,14 @@ class Job(Timeline[Segment]):
     @cached_property
     def stroke_certificate(self) -> Certificate:
         """The promises of the strokes as one statement, times from the beginning of the first one."""
-        (first, *others), begin = self.strokes, self.strokes[0].begin
-        if not others:
-            return first.certificate
-        return Job(
-            segments=tuple(replace(each, begin=each.begin - begin) for each in self.strokes)
-        ).certificate
+        strokes = self.strokes
+        return _from_zero(strokes).certificate if len(strokes) > 1 else strokes[0].certificate
 
     @cached_property
     def trajectory(self) -> QuinticTrajectory:
         """The whole motion on the job's clock."""
-        return join_trajectories(self.segments)
+        timed = (replace(each.trajectory, t=each.begin + each.trajectory.t) for each in self.segments)
+        return QuinticTrajectory.joined(list(timed))
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -237,6 +231,18 @@ class Job(Timeline[Segment]):
         for segment in self.segments:
             for check in segment.certificate.checks:
                 yield segment, replace(check, time=segment.begin + check.time)
+
+
+def at_work(segments: Sequence[T]) -> Sequence[T]:
+    """Return the segments from the first stroke to the last one."""
+    strokes = [number for number, segment in enumerate(segments) if segment.kind == "stroke"]
+    return segments[strokes[0] : strokes[-1] + 1]
+
+
+def _from_zero(segments: Sequence[Segment]) -> Job:
+    """Segments of a job as one of their own."""
+    begin = segments[0].begin
+    return Job(segments=tuple(replace(each, begin=each.begin - begin) for each in segments))
 
 
 def job_metrics(segments: Iterable[Segment | BaselineSegment], begin: float = 0.0) -> MotionMetrics:
@@ -285,17 +291,3 @@ def _largest_adhesion(segments: Iterable[Segment | BaselineSegment], begin: floa
         peaks.append(replace(needed, time=segment.begin - begin + needed.time))
     tip, gap = max(each.tip for each in peaks), max(each.gap for each in peaks)
     return replace(max(peaks, key=lambda each: each.peak), tip=tip, gap=gap)
-
-
-def join_trajectories(segments: Iterable[Segment]) -> QuinticTrajectory:
-    """Return the motion of segments that follow on each other, on the job's clock; they share the joins."""
-    segments = list(segments)
-    # The knot at a join is the last one of the segment before it.
-    kept = [slice(0, None), *(slice(1, None) for _ in segments[1:])]
-    times = [segment.begin + segment.trajectory.t for segment in segments]
-
-    def joined(arrays: Iterable[FloatArray]) -> FloatArray:
-        return np.concatenate([array[part] for array, part in zip(arrays, kept, strict=True)])
-
-    q, v, a = (joined(getattr(segment.trajectory, name) for segment in segments) for name in ("q", "v", "a"))
-    return QuinticTrajectory(t=joined(times), q=q, v=v, a=a)

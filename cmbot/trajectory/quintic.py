@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -166,6 +167,16 @@ class QuinticTrajectory(ShortRepr):
         """Return what holds the joints at `q` (n,), rad, for some seconds."""
         still = np.zeros((2, len(q)))
         return cls(t=np.array([0.0, seconds]), q=still + q, v=still, a=still)
+
+    @classmethod
+    def joined(cls, parts: Sequence[QuinticTrajectory]) -> QuinticTrajectory:
+        """Return motions that follow on each other as one; the knot at a join is the one before it."""
+        first, *others = parts
+
+        def all_of(name: str) -> FloatArray:
+            return np.concatenate([getattr(first, name), *(getattr(each, name)[1:] for each in others)])
+
+        return cls(t=all_of("t"), q=all_of("q"), v=all_of("v"), a=all_of("a"))
 
     def standing(self, begin: float, end: float) -> QuinticTrajectory:
         """Return a motion from rest to rest with the joints held before it, from `begin`, and after it, s."""

@@ -16,7 +16,7 @@ from cmbot.planning.free_motion.free_move import FreeMove, find_way, free_space,
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
-from cmbot.planning.job import Segment, free_move_name
+from cmbot.planning.job import Segment, free_move_name, stands_of
 from cmbot.planning.request import StrokeRequest
 
 # Postures to which trees grow at once at most.
@@ -91,8 +91,9 @@ def _move(
         rest = _along_chart(space, np.stack([way[-1], end]), turned, spacing)
         return None if rest is None else np.vstack([way, rest[1:]])
 
+    name = free_move_name(request.number)
     return FreeMove(
-        name=free_move_name(request.number),
+        name=name,
         start=start,
         end=end,
         start_name=_before_in_words(request),
@@ -102,8 +103,7 @@ def _move(
         most_growths=_MAX_START_GROWTHS if dispensable else MOST_GROWTHS,
         first=along_chart,
         known=known,
-        after_stroke=request.number > 0,
-        before_stroke=True,
+        stands=stands_of(name, request.cell.robot.tool_ramp),
     )
 
 

@@ -73,9 +73,8 @@ class FreeMove:
         A `Way` that is tried before the straight one.
     known : callable
         A `Way` that is taken, shortened, where the straight one is not free.
-    after_stroke, before_stroke : bool
-        Whether a stroke ends where it starts, and begins where it ends: there the arm stands while the
-        process force ends, and sets in.
+    stands : (2,), s
+        How long the arm stands before, and after it, while a process force ends, and sets in.
     """
 
     name: str
@@ -88,8 +87,7 @@ class FreeMove:
     most_growths: int = MOST_GROWTHS
     first: Way = _nothing
     known: Way = _nothing
-    after_stroke: bool = False
-    before_stroke: bool = False
+    stands: tuple[float, float] = (0.0, 0.0)
 
 
 def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
@@ -108,7 +106,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     PathNotFound
         When nothing leads there.
     """
-    ramp, request = request.cell.robot.tool_ramp, request.tool_off
+    request = request.tool_off
     space = _space_around(request, move)
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME_OBJECTIVE_SHARE) * max(move.allowed, *space.cost(ends))
@@ -116,7 +114,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     path = _least(request, space, _ways(request, space, move, given), allowed)
     held = request.task.held_at_start()
     for halving in range(_MAX_SPACING_HALVINGS):
-        trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move, ramp)
+        trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move)
         certificate = certify_move(
             request.cell.robot,
             held,
@@ -268,12 +266,9 @@ def _ways(
 
 
 def _timed(
-    request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, move: FreeMove, ramp: float
+    request: StrokeRequest, path: FloatArray, spacing: float, allowed: float, move: FreeMove
 ) -> QuinticTrajectory:
-    """Put a C3 spline from rest to rest through a broken line, as fast as limits, modes, objective allow.
-
-    Beside strokes the arm stands for the process force's `ramp`, s.
-    """
+    """Put a C3 spline from rest to rest through a broken line, as fast as limits, modes, objective allow."""
     lengths = request.cell.robot.metric.lengths(np.diff(path, axis=0))
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
@@ -294,12 +289,12 @@ def _timed(
     sampled = StateSamples.even(trial, _TORQUE_SAMPLES_PER_SEGMENT)
     at_rest = _asked(request, StateSamples.at_rest(sampled.t, sampled.q), allowed)
     for slower in _SLOWER:
-        timed = _slowed(trial, slower * seconds, move.begin, ramp * move.after_stroke)
+        timed = _slowed(trial, slower * seconds, move.begin, move.stands[0])
         if _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed) <= (
             1 + _SAME_OBJECTIVE_SHARE
         ) * max(at_rest, 1.0):
             break
-    end = _exactly(move.begin, timed.t[-1] + ramp * move.before_stroke)
+    end = _exactly(move.begin, timed.t[-1] + move.stands[1])
     return timed.standing(0.0, float(end))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.free_motion.free_move import FreeMove, plan_move
-from cmbot.planning.job import RETURN, Segment
+from cmbot.planning.job import RETURN, Segment, stands_of
 from cmbot.planning.request import StrokeRequest
 
 SAME_POSTURE = 1e-9
@@ -47,7 +47,7 @@ def plan_return(request: StrokeRequest, start: FloatArray, *, begin: float, allo
         end_name=f"the {'start' if np.array_equal(end, request.state.posture) else 'stow'} posture",
         begin=begin,
         allowed=allowed,
-        after_stroke=True,
+        stands=stands_of(RETURN, request.cell.robot.tool_ramp),
     )
     try:
         return plan_move(request, move)

@@ -14,7 +14,15 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.job import APPROACH, RETURN, BaselineSegment, Timeline, free_move_name, job_metrics
+from cmbot.planning.job import (
+    RETURN,
+    BaselineSegment,
+    Timeline,
+    at_work,
+    free_move_name,
+    job_metrics,
+    stands_of,
+)
 from cmbot.planning.result.stroke_plan import StrokeBaseline, StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
@@ -44,7 +52,7 @@ class Baseline(StrokeBaseline, Timeline[BaselineSegment]):
     @property
     def work(self) -> tuple[BaselineSegment, ...]:
         """What lies between the beginning of the first stroke and the end of the last one."""
-        return tuple(_at_work(self.segments))
+        return tuple(at_work(self.segments))
 
 
 def baseline_of(
@@ -74,13 +82,12 @@ def baseline_of(
     if not each:
         return None
     segments, at, begin = list[BaselineSegment](), start, 0.0
-    off, ramp = robot.tool_off, robot.tool_ramp
+    off = robot.tool_off
 
     def move(name: str, goal: FloatArray, task: ToolTask) -> None:
         if np.abs(goal - at).max() <= SAME_POSTURE:
             return
-        stands = [ramp * (name != beside) for beside in (APPROACH, RETURN)]
-        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP, stands)
+        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP, stands_of(name, robot.tool_ramp))
         samples = measure(off, task.held_at_start(), clearances, t, motion)
         add(name, "free", samples, figures(off, samples))
 
@@ -100,7 +107,7 @@ def baseline_of(
 
 def _joined(segments: Sequence[BaselineSegment], each: Sequence[StrokeBaseline]) -> Baseline:
     """The baseline of a job of these segments, from what is known along `each` of its strokes."""
-    work = _at_work(segments)
+    work = at_work(segments)
     samples, figures_of_strokes = each[0].samples, each[0].figures
     if len(each) > 1:
         begin = work[0].begin
@@ -115,12 +122,6 @@ def _joined(segments: Sequence[BaselineSegment], each: Sequence[StrokeBaseline])
         smallest_singular_value=min(along.smallest_singular_value for along in each),
         segments=tuple(segments),
     )
-
-
-def _at_work(segments: Sequence[BaselineSegment]) -> Sequence[BaselineSegment]:
-    """The segments from the first stroke to the last one."""
-    strokes = [number for number, segment in enumerate(segments) if segment.kind == "stroke"]
-    return segments[strokes[0] : strokes[-1] + 1]
 
 
 def joined_samples(each: Iterable[tuple[float, Samples, bool]]) -> tuple[Samples, list[int]]:

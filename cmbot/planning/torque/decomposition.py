@@ -153,16 +153,6 @@ def segments(problem: TorqueProblem) -> list[tuple[int, int]]:
     return [*parts, (first, last)]
 
 
-def joined(trajectories: list[QuinticTrajectory]) -> QuinticTrajectory:
-    """Put trajectories one behind the other; each begins at rest where and when the one before ends."""
-    *some, last = trajectories
-
-    def all_of(name: str) -> FloatArray:
-        return np.concatenate([*(getattr(each, name)[:-1] for each in some), getattr(last, name)])
-
-    return QuinticTrajectory(t=all_of("t"), q=all_of("q"), v=all_of("v"), a=all_of("a"))
-
-
 def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
     """Return how a problem's own options have it solved."""
     o = problem.request.cell.options
@@ -220,7 +210,7 @@ def _in_segments(
             progress(passes[-1])
 
     done = [optimise(problem.segment(first, last), report) for first, last in parts]
-    trajectory = joined([each.trajectory for each in done])
+    trajectory = QuinticTrajectory.joined([each.trajectory for each in done])
     return Optimised(
         trajectory=trajectory,
         via_points=trajectory.q,
