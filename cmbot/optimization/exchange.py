@@ -212,13 +212,9 @@ def minimize_peak(
         best = exchange.feasible or exchange.nearest
         if best is None:
             raise
-        return Result(
-            parametrization=best[0],
-            passes=tuple(exchange.reports),
-            peak_bound=best[1],
-            complete=False,
-            failure=None if exchange.feasible else failure,
-        )
+        exchange.form, peak = best
+        why = None if exchange.feasible else failure
+        return replace(exchange.result(peak), complete=False, failure=why)
     return exchange.result(bound)
 
 

@@ -6,7 +6,7 @@ on the splines' derivatives are met at exact extrema of polynomials.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -59,9 +59,9 @@ class Separation:
 class WorstViolations:
     """Where one family of constraints is violated, the worst first."""
 
-    times: FloatArray  # (K,), s
-    component: IntArray  # (K,)
     largest: float  # value anywhere; where nothing is violated, that was seen
+    times: FloatArray = field(default_factory=lambda: np.empty(0))  # (K,), s
+    component: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))  # (K,)
     joint: int = -1  # with the largest value, of a bound on a joint; -1 otherwise
 
     def violation(self, name: str, limit: Limit) -> Violation:
@@ -147,9 +147,7 @@ def violated_function(
     value, component = sampled
     row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEARLY_ACTIVE))
     if len(row) == 0:
-        return WorstViolations(
-            times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max())
-        )
+        return WorstViolations(largest=float(value.max()))
     top, where = value[row, column], component[row, column]
     shifted = times[row] + _shifts(times, value, row, column)
     again, which = function.sample(StateSamples.along(trajectory, shifted))
@@ -173,9 +171,7 @@ def violated_bound(trajectory: QuinticTrajectory, bound: KinematicBound, toleran
     possible = np.maximum(bound.above(high), bound.below(low))
     segment, joints = np.nonzero(possible > tolerance)
     if len(segment) == 0:
-        return WorstViolations(
-            times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=largest, joint=joint
-        )
+        return WorstViolations(largest=largest, joint=joint)
     extrema = trajectory.extrema_at(bound.order, segment, joints)
     of = joints[:, None]
     value = np.stack([bound.above(extrema.value, of), bound.below(extrema.value, of)], axis=1)

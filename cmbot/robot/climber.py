@@ -63,19 +63,20 @@ class Climber:
         """The working stance (5,), as the SRDF has it."""
         return np.asarray(self._locked[self._index])
 
-    def poses(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Poses of foot 2 and of the arm's base."""
+    def _configuration(self, angles: FloatArray) -> FloatArray:
         q = np.array(self._locked)
         q[self._index] = angles
-        pin.framesForwardKinematics(self._model, self._data, q)
+        return q
+
+    def poses(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Poses of foot 2 and of the arm's base."""
+        pin.framesForwardKinematics(self._model, self._data, self._configuration(angles))
         foot, base = self._data.oMf[self._foot], self._data.oMf[self._base]
         return np.array(foot.homogeneous), np.array(base.homogeneous)
 
     def weight(self, angles: FloatArray) -> tuple[float, FloatArray]:
         """Mass, kg, and centre of mass (3,), m, of what does not move while the arm works."""
-        q = np.array(self._locked)
-        q[self._index] = angles
-        pin.forwardKinematics(self._model, self._data, q)
+        pin.forwardKinematics(self._model, self._data, self._configuration(angles))
         fixed = [0, *(self._model.getJointId(name) for name in CLIMBING_JOINTS)]
         bodies = [(self._model.inertias[k], self._data.oMi[k]) for k in fixed]
         mass = sum(body.mass for body, _ in bodies)
@@ -102,11 +103,9 @@ class Climber:
 
     def holding_joints(self, angles: FloatArray) -> tuple[HoldingJoint, ...]:
         """Return the joints (5,) locked in a posture, in the frame of foot 1, with their efforts."""
-        q = np.array(self._locked)
-        q[self._index] = angles
         climbing = {self._model.getJointId(name) for name in CLIMBING_JOINTS}
         moving = set(range(1, self._model.njoints)) - climbing
-        return holding_joints(self._model, moving, q, "arm_base")
+        return holding_joints(self._model, moving, self._configuration(angles), "arm_base")
 
     def hanging(self, R_WF: FloatArray) -> FloatArray | None:
         """The working stance with foot 1 turned about its normal so that the base hangs as there.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,11 +65,4 @@ def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
             f"; {counted(others, 'other starting posture')} {fail} as well "
             f"(the best at {furthest:.0%} of the path)"
         )
-    return PathNotFound(
-        reason,
-        time=first.time,
-        progress=first.progress,
-        smallest_singular_value=first.smallest_singular_value,
-        pair=first.pair,
-        pace=first.pace,
-    )
+    return replace(first, reason=reason, stopped=False, key="")
