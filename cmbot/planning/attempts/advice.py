@@ -10,7 +10,7 @@ from typing import Any, assert_never
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import FAR_BEYOND
+from cmbot.common.errors import FAR_BEYOND, LimitViolation, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
@@ -58,16 +58,16 @@ def slower_legs(request: StrokeRequest, failure: Failure) -> FloatArray | None:
     factors = np.ones(len(request.task.path.seconds))
     match failure:
         case NoWay():
-            factors[request.task.path.leg_to(failure.time)] = failure.pace
+            factors[request.task.path.leg_to(failure.error.time)] = failure.error.pace
         case Uncertified(broken=JointRate(order=order, ratio=ratio)) if order:
-            factors[request.task.path.leg_to(failure.time)] = ratio ** (1 / order)
+            factors[request.task.path.leg_to(failure.error.time)] = ratio ** (1 / order)
         case NoTrajectory(broken=OtherLimit(what=Limit.LEAP)):
             return None
         case NoTrajectory():
-            factors = _factors(request, failure.trajectory)
+            factors = _factors(request, failure.error.trajectory)
             if not isinstance(failure.broken, JointRate):
                 # Joints at their limits leave the tool behind.
-                hasty = (factors >= _AT_LIMIT) & (failure.violation > FAR_BEYOND)
+                hasty = (factors >= _AT_LIMIT) & (failure.error.violation > FAR_BEYOND)
                 factors = np.where(hasty, _DOUBLE, 1.0)
         case Uncertified() | OutOfTime():
             return None
@@ -85,14 +85,14 @@ def eased(request: StrokeRequest, failure: Failure) -> StrokeRequest | None:
     """
     options = request.cell.options
     match failure:
-        case Uncertified(limit=Limit.SWAY):
+        case Uncertified(error=LimitViolation(limit=Limit.SWAY)):
             # What a force adds that sets in at once no motion changes.
             if not request.cell.robot.pushed_at_once:
                 return None
             return replace(request, cell=request.cell.ramped(request.first))
         case NoTrajectory(broken=broken) | Uncertified(broken=broken):
             pass
-        case NoWay(pair=(_, _)):
+        case NoWay(error=PathNotFound(pair=(_, _))):
             # In the best posture for the place that is furthest from one, unless the start itself is near.
             miss = None if failure.is_start_near else nearest_miss(request, is_clear=True)
             nearest = miss.missed.best if miss and miss.pair else request.first
@@ -214,9 +214,9 @@ def _have_own_keys(stroke: Stroke) -> bool:
     return bool(file.legs) and not file.blend_radius_m and (file.passes or 1) == 1
 
 
-def _factors(request: StrokeRequest, trajectory: QuinticTrajectory | None) -> FloatArray:
+def _factors(request: StrokeRequest, trajectory: object) -> FloatArray:
     """By which factors (L,) legs would have to take longer, or may take less, for a trajectory's limits."""
-    if trajectory is None:
+    if not isinstance(trajectory, QuinticTrajectory):
         return np.ones(len(request.task.path.seconds))
     limits, edges = request.cell.robot.limits, request.task.path.leg_times
     middles = 0.5 * (trajectory.t[1:] + trajectory.t[:-1])

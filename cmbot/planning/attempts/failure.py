@@ -1,10 +1,11 @@
-"""Why an attempt failed, as data: by its class remedies are chosen, and from it the error is made."""
+"""Why an attempt failed, as data: by its class remedies are chosen, and its error is what is raised."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar, assert_never
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TypeVar, assert_never
 
 import numpy as np
 
@@ -65,60 +66,36 @@ Broken = NearObstacle | JointRate | JointTorque | ToolOff | OtherLimit
 
 @dataclass(frozen=True, kw_only=True)
 class NoWay:
-    """No sequence of postures, or no free move, leads on; attributes are those of `PathNotFound`."""
+    """No sequence of postures, or no free move, leads on."""
 
-    reason: str
-    time: float
-    progress: float
-    smallest_singular_value: float
-    pair: tuple[str, str] | None
-    pace: float
-    hints: tuple[str, ...] = ()
-
-    @property
-    def error(self) -> PathNotFound:
-        """The error that tells of it."""
-        error = PathNotFound(**_without(self, "hints"))
-        for hint in self.hints:
-            error.add_hint(hint)
-        return error
+    error: PathNotFound
 
     @property
     def is_start_near(self) -> bool:
         """Whether it is the start posture that is too near to something: no other place is the matter."""
-        return self.pair is not None and self.time == 0.0
+        return self.error.pair is not None and self.error.time == 0.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class NoTrajectory:
-    """The optimiser found no trajectory; attributes are those of `OptimisationFailed`."""
+    """The optimiser found no trajectory."""
 
-    reason: str
-    constraint: str
-    violation: float
-    trajectory: QuinticTrajectory | None
-    limit: Limit
-    time: float | None = None
+    error: OptimisationFailed
     broken: Broken
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertified:
-    """The certificate of a trajectory does not hold; attributes are those of `LimitViolation`."""
+    """The certificate of a trajectory does not hold."""
 
-    quantity: str
-    time: float
-    value: float
-    bound: float
-    unit: str
-    limit: Limit
+    error: LimitViolation
     broken: Broken
-    trajectory: QuinticTrajectory | None = field(default=None, compare=False)
+    trajectory: QuinticTrajectory | None = None
 
     @property
     def excess(self) -> float:
         """By how much the bound is missed, as a share of it."""
-        return abs(self.value - self.bound) / max(abs(self.bound), 1e-12)
+        return abs(self.error.value - self.error.bound) / max(abs(self.error.bound), 1e-12)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,60 +131,44 @@ def failure_of(
 
     A `trajectory` is the one whose certificate does not hold.
     """
+    failure: NoWay | NoTrajectory
     match error:
         case PathNotFound():
-            no_way = _like(NoWay, error)
-            return OutOfTime(during=no_way) if error.stopped else no_way
+            # What planning comes upon has no line in the scene's file.
+            failure = NoWay(error=copy(error))
+            failure.error.key, failure.error.stopped = "", False
         case OptimisationFailed():
             constraint, broken = _named(request, error)
-            no_trajectory = _like(NoTrajectory, error, constraint=constraint, broken=broken)
-            return OutOfTime(during=no_trajectory) if error.stopped else no_trajectory
+            again = replace(error, constraint=constraint, stopped=False)
+            failure = NoTrajectory(error=again, broken=broken)
         case LimitViolation():
             broken = _broken(error.limit, error.value, error.bound)
-            return _like(Uncertified, error, broken=broken, trajectory=trajectory)
+            return Uncertified(error=replace(error), broken=broken, trajectory=trajectory)
         case _:
             assert_never(error)
+    return OutOfTime(during=failure) if error.stopped else failure
 
 
 def error_of(failure: Failure) -> PlanningError:
-    """Return the error that tells of a failure."""
-    match failure:
-        case NoWay():
-            return failure.error
-        case NoTrajectory():
-            return OptimisationFailed(**_without(failure, "broken"))
-        case Uncertified():
-            return LimitViolation(**_without(failure, "broken", "trajectory"))
-        case OutOfTime():
-            error = error_of(failure.during)
-            error.stopped = True
-            return error
-        case _:
-            assert_never(failure)
+    """Return the error that tells of a failure, to be raised."""
+    if isinstance(failure, OutOfTime):
+        error = error_of(failure.during)
+        error.stopped = True
+        return error
+    return copy(failure.error)
 
 
 def in_words(failure: Failure) -> str:
     """Say what failed, as part of a sentence."""
     if isinstance(failure, NoTrajectory):
-        return f"{failure.reason}; {failure.constraint}"
+        return f"{failure.error.reason}; {failure.error.constraint}"
     return str(error_of(failure))
 
 
 def briefly(failure: Failure) -> str:
     """Say in a few words what failed."""
-    told = failure.reason if isinstance(failure, NoWay | NoTrajectory) else str(error_of(failure))
+    told = failure.error.reason if isinstance(failure, NoWay | NoTrajectory) else in_words(failure)
     return told.partition(";")[0]
-
-
-def _like(kind: type[Made], error: PlanningError, **given: object) -> Made:
-    """The failure whose fields are attributes of an error, but for those that are given."""
-    names = {each.name for each in fields(kind)} - given.keys()  # type: ignore[arg-type]
-    return kind(**{name: getattr(error, name) for name in names}, **given)
-
-
-def _without(failure: Failure, *names: str) -> dict[str, Any]:
-    """The fields of a failure but some."""
-    return {key: value for key, value in vars(failure).items() if key not in names}
 
 
 def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Broken]:

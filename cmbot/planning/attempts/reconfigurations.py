@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cmbot.common.errors import PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import Failure, NoTrajectory, NoWay, OtherLimit
@@ -88,7 +89,7 @@ def _places(file: StrokeFile, ends: tuple[float, ...]) -> str:
 def _reached(first: Attempt, failure: Failure) -> float | None:
     """The time, s, of the last via-point that a way was found to; None where nothing tells."""
     match failure, first.guess:
-        case NoWay(time=time), _:
+        case NoWay(error=PathNotFound(time=time)), _:
             pass
         case NoTrajectory(broken=OtherLimit(what=Limit.LEAP)), InitialGuess() as guess:
             time = furthest(first.request, guess)

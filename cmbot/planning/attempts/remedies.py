@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from cmbot.common.errors import LimitViolation
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt
 from cmbot.planning.attempts.failure import (
@@ -84,7 +85,7 @@ def _spare_clearance(trial: AnyTrial) -> Iterator[Attempt]:
     """What is missing of the safety margin, and a little more, to spare in what is optimised."""
     attempt = trial.attempt
     match trial.outcome, attempt.guess:
-        case Uncertified(bound=bound, value=value) as failure, InitialGuess() as guess:
+        case Uncertified(error=LimitViolation(bound=bound, value=value)) as failure, InitialGuess() as guess:
             if not is_little_nearer(failure):
                 return
             spare = attempt.request.spare_clearance + bound - value + _SPARE
@@ -97,7 +98,7 @@ def _spare_clearance(trial: AnyTrial) -> Iterator[Attempt]:
 
 def _tell_spare(before: AnyTrial, after: AnyTrial) -> str:
     failure, spare = before.failure, after.attempt.request.spare_clearance
-    missing = failure.bound - failure.value if isinstance(failure, Uncertified) else 0.0
+    missing = failure.error.bound - failure.error.value if isinstance(failure, Uncertified) else 0.0
     return (
         f"The safety margin was missed by {1e3 * missing:.2g} mm ({in_words(failure)}): planned with "
         f"{1e3 * spare:.2g} mm more than it instead."

@@ -177,9 +177,9 @@ def _stretched_laws(trial: Trial[Attempt, Any]) -> Iterator[Attempt]:
         # No free move is found by another time.
         return
     least = timing.factors.max()
-    if isinstance(failure, Uncertified) and failure.limit is Limit.SWAY:
+    if isinstance(failure, Uncertified) and failure.error.limit is Limit.SWAY:
         # The sway falls with the square of the time.
-        least *= np.sqrt(failure.value / failure.bound)
+        least *= np.sqrt(failure.error.value / failure.error.bound)
     longer = [factor for factor in _STRETCHED if factor > least]
     if longer and (timing.factors == timing.factors[0]).all():
         at_fault = timing.at_fault | _at_fault(trial.attempt, timing, failure)
@@ -228,14 +228,14 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
 def _at_fault(attempt: Attempt, timing: Timing, failure: Failure) -> BoolArray:
     """The legs (L,) on which an attempt failed: all of them, where that is not known."""
     legs = np.array([law.leg for law in timing.laws])
-    if isinstance(failure, Uncertified) and failure.limit is Limit.SWAY:
+    if isinstance(failure, Uncertified) and failure.error.limit is Limit.SWAY:
         return np.ones(len(legs), dtype=np.bool_)
     factors = slower_legs(attempt.request, failure)
     if factors is not None:
         return np.asarray(factors[legs] > 1.0)
     if isinstance(failure, Uncertified):
         ends = attempt.request.task.path.leg_times
-        return np.asarray((ends[legs] <= failure.time) & (failure.time <= ends[legs + 1]))
+        return np.asarray((ends[legs] <= failure.error.time) & (failure.error.time <= ends[legs + 1]))
     return np.ones(len(legs), dtype=np.bool_)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
+from cmbot.common.errors import PathNotFound
 from cmbot.planning.attempts.agenda import Agenda, Remedy, Solved, Trial
 from cmbot.planning.attempts.failure import Failure, NoWay
 from cmbot.planning.budget import Budget, Deadline
@@ -14,7 +15,7 @@ Numbers = Trial[int, int]
 
 
 def failed(reason: str = "no") -> NoWay:
-    return NoWay(reason=reason, time=0.0, progress=0.0, smallest_singular_value=1.0, pair=None, pace=1.0)
+    return NoWay(error=PathNotFound(reason, time=0.0, progress=0.0, smallest_singular_value=1.0))
 
 
 class Work:
@@ -101,7 +102,7 @@ def test_no_more_than_the_budget_is_run_and_nothing_is_worse_than_without_the_ag
         # The best of what was run, and so no worse than the first attempt alone.
         assert best.result == max(results)
     else:
-        assert best.failure == failed("0")
+        assert best.failure.error.reason == "0"
     budget = Budget(runs=runs)
     assert search(0)[1] == run
 
@@ -156,8 +157,8 @@ def test_the_record_tells_what_led_to_a_trial() -> None:
 
 
 def test_the_failure_that_is_told_is_the_first_or_that_of_a_choice_taken_back() -> None:
-    assert agenda(Work({}), remedy(1, 1)).search(0).failure == failed("0")
-    assert agenda(Work({}), remedy(1, 1, replaces=True), remedy(2, 2)).search(0).failure == failed("1")
+    assert agenda(Work({}), remedy(1, 1)).search(0).failure.error.reason == "0"
+    assert agenda(Work({}), remedy(1, 1, replaces=True), remedy(2, 2)).search(0).failure.error.reason == "1"
 
 
 def test_what_is_refused_takes_no_run_but_has_remedies() -> None:

@@ -17,7 +17,7 @@ from urdf_arms import panda_scene, path_of, six_joint_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.cli.inspection import examine
-from cmbot.common.errors import MissingExtra, OptimisationFailed, PathNotFound
+from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.attempts import motion
@@ -58,23 +58,20 @@ from cmbot.scene import PlannerOptions, Scene
 
 POSTURE = [41, 119, -70, 85, 48, -67]
 TURNED = path_of("pose", 25, ([-0.086, 0.027, 0.101], 4.3), ([-0.081, 0.096, 0.037], 3.6))
-UNREACHED = NoWay(
-    reason="no approach", time=0.0, progress=0.0, smallest_singular_value=1.0, pair=None, pace=1.0
-)
+UNREACHED = NoWay(error=PathNotFound("no approach", time=0.0, progress=0.0, smallest_singular_value=1.0))
 
 
 def unfollowed(broken: Broken, words: str = "jerk of joint_3", **own: Any) -> NoTrajectory:
-    given = {"violation": 1.0, "trajectory": None, "limit": Limit.OTHER} | own
-    return NoTrajectory(reason="no", constraint=words, broken=broken, **given)
+    error = OptimisationFailed("no", **{"constraint": words, "violation": 1.0} | own)
+    return NoTrajectory(error=error, broken=broken)
 
 
 SUDDEN = unfollowed(JointRate(order=3, ratio=2.0))
 
 
 def missed(broken: Broken, value: float, bound: float) -> Uncertified:
-    return Uncertified(
-        quantity="it", time=1.0, value=value, bound=bound, unit="m", limit=Limit.OTHER, broken=broken
-    )
+    error = LimitViolation("it", time=1.0, value=value, bound=bound, unit="m")
+    return Uncertified(error=error, broken=broken)
 
 
 def nearer(missing: float, margin: float) -> Uncertified:
@@ -238,8 +235,8 @@ def test_a_guess_that_leaps_is_optimised_once(tmp_path: Path) -> None:
     leaps = Attempt(request=asked, guess=sliding_guess(asked))
     assert leaps.refused is None
     again = replace(leaps, is_first=False).refused
-    assert again.reason.startswith("only by leaps to other")
-    assert again.violation > 0.1
+    assert again.error.reason.startswith("only by leaps to other")
+    assert again.error.violation > 0.1
     assert replace(leaps, guess=initial_guess(asked), is_first=False).refused is None
     astray = unfollowed(ToolOff(what=Limit.TOOL_DEVIATION, ratio=4.0))
     assert not tried(MORE_VIA_POINTS, leaps, astray)

@@ -164,7 +164,7 @@ def test_slow_motions_hold_the_tool_loosely_unless_it_strays_even_so(
     path = {"legs": [LEG], "seconds": "auto"}
     failure = shortest_time._slow_motion(Attempt.of(request_of(short_scene(tool_path=path))))
     assert isinstance(failure, NoTrajectory) and asked == shares
-    assert failure.violation == 1.0 / shares[-1]
+    assert failure.error.violation == 1.0 / shares[-1]
 
 
 def test_an_attempt_in_another_time_has_splines_in_that_time() -> None:
@@ -357,15 +357,9 @@ def test_only_the_legs_on_which_motions_fail_are_stretched_if_that_is_worth_it(
         seconds = attempt.request.task.path.seconds
         tried.append(seconds / 4.0)
         if seconds[1] < 4.0 * needed:
-            return Uncertified(
-                quantity="velocity of joint_1",
-                time=seconds[0] + 0.5 * seconds[1],
-                value=1.01,
-                bound=1.0,
-                unit="rad/s",
-                limit=Limit.VELOCITY,
-                broken=JointRate(order=1, ratio=1.01),
-            )
+            middle = seconds[0] + 0.5 * seconds[1]
+            error = LimitViolation("velocity of joint_1", time=middle, value=1.01, bound=1.0, unit="rad/s")
+            return Uncertified(error=error, broken=JointRate(order=1, ratio=1.01))
         return Solved(result=float(seconds.sum()))
 
     best = Agenda(
