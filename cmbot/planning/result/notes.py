@@ -74,6 +74,10 @@ class Note:
     values: dict[str, Any]
 
 
+def _note(level: Level, key: str, /, **values: Any) -> Note:
+    return Note(level=level, key=key, values=values)
+
+
 def notes(plan: Plan) -> tuple[Note, ...]:
     """Return what should be known of a plan beside its table, in the order of its levels.
 
@@ -104,16 +108,15 @@ def _first(plan: Plan) -> Iterator[Note]:
             "across_mm": tolerance and tolerance.across_mm,
             "along_axis_mm": tolerance and tolerance.along_axis_mm,
         }
-        yield Note(level="first", key="tool", values=values)
+        yield _note("first", "tool", **values)
     else:
-        values = {"within_mm": 1e3 * plan.figures.max_tool_deviation}
-        yield Note(level="first", key="rigid_tool", values=values)
+        yield _note("first", "rigid_tool", within_mm=1e3 * plan.figures.max_tool_deviation)
     yield from _holds(plan)
-    yield Note(level="first", key="base", values=_base(plan))
+    yield _note("first", "base", **_base(plan))
     yield from _free_moves(plan)
     if accuracy is not None and accuracy.remedies:
         best = accuracy.remedies[0]
-        yield Note(level="first", key="help", values={"remedy": best.name, "within_mm": best.within_mm})
+        yield _note("first", "help", remedy=best.name, within_mm=best.within_mm)
 
 
 def _holds(plan: Plan) -> Iterator[Note]:
@@ -138,10 +141,10 @@ def _holds(plan: Plan) -> Iterator[Note]:
     if (use := hold_use(plan.job)) is not None:
         segment, check = tightest_check(plan.job, limit=Limit.HOLD)
         values |= {"quantity": check.quantity, "use": use, "time": check.time}
-        yield Note(level="first", key="holds", values=values | {"when": during(segment, plan.job)})
+        yield _note("first", "holds", **values, when=during(segment, plan.job))
     else:
         welded = any(foot.kind == "welded" for foot in holding.feet)
-        yield Note(level="first", key="unknown_hold", values=values | {"welded": welded})
+        yield _note("first", "unknown_hold", **values, welded=welded)
 
 
 def _base(plan: Plan) -> dict[str, Any]:
@@ -185,26 +188,25 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
         if plan.start.moved:
             values["start"] = start_entry(plan.start.posture, plan.robot.limits)
             values["pinned"] = plan.scene.pinned_posture if plan.options.start == "free" else None
-        yield Note(level="first", key="free_moves", values=values)
+        yield _note("first", "free_moves", **values)
 
 
 def _faults(plan: Plan) -> Iterator[Note]:
     """What is missing of what was asked."""
     if unreached := plan.whole_coverage.unreached:
-        values = {"area_m2": plan.whole_coverage.area, "unreached_m2": unreached}
-        yield Note(level="fault", key="unreached", values=values)
+        yield _note("fault", "unreached", area_m2=plan.whole_coverage.area, unreached_m2=unreached)
     off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
     if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}
         key = "off_path" if np.isfinite(off) else "too_soft"
-        yield Note(level="fault", key=key, values=values | {"base": plan.scene.base_name})
+        yield _note("fault", key, **values, base=plan.scene.base_name)
 
 
 def _start(plan: Plan) -> Iterator[Note]:
     start, failures = plan.start, plan.start.failures
     if start.moved == 0:
         if failures:
-            yield Note(level="warning", key="unused_start", values={"reason": failures[0].reason})
+            yield _note("warning", "unused_start", reason=failures[0].reason)
         return
     moves, slides = np.abs(start.posture - plan.scene.posture), plan.robot.limits.prismatic
     values: dict[str, Any] = {
@@ -216,29 +218,27 @@ def _start(plan: Plan) -> Iterator[Note]:
     }
     near = plan.robot.metric.lengths(start.posture - plan.scene.posture) < plan.options.chart_spacing
     if failures:
-        values |= {"reason": failures[0].reason, "tried": len(failures)}
-        yield Note(level="warning", key="other_start", values=values)
+        yield _note("warning", "other_start", **values, reason=failures[0].reason, tried=len(failures))
     elif plan.compensation is not None and near:
-        yield Note(level="note", key="sagging_start", values=values)
+        yield _note("note", "sagging_start", **values)
     else:
-        key = "path_start" if plan.scene.begins_elsewhere else "better_start"
-        yield Note(level="note", key=key, values=values)
+        yield _note("note", "path_start" if plan.scene.begins_elsewhere else "better_start", **values)
 
 
 def _told(plan: Plan) -> Iterator[Note]:
     """What other parts of the package say of what was assumed, and of what failed."""
     for text in plan.fallbacks:
-        yield Note(level="warning", key="fallback", values={"text": text})
+        yield _note("warning", "fallback", text=text)
     for text in plan.robot.remarks:
-        yield Note(level="warning", key="robot", values={"text": text})
+        yield _note("warning", "robot", text=text)
     if tube := tube_warning(plan.scene, plan.robot):
-        yield Note(level="warning", key="stiffness", values={"text": tube})
+        yield _note("warning", "stiffness", text=tube)
     for told in (load_remark(plan.scene, plan.robot), identified_in_words(plan.scene)):
         if told:
-            yield Note(level="note", key="stiffness", values={"text": told})
+            yield _note("note", "stiffness", text=told)
     yield from _slid(plan)
     for key, looks, units in mistaken_units(plan.scene):
-        yield Note(level="warning", key="units", values={"of": key, "looks": looks, "units": units})
+        yield _note("warning", "units", of=key, looks=looks, units=units)
 
 
 def _faces(plan: Plan) -> Iterator[Note]:
@@ -246,7 +246,7 @@ def _faces(plan: Plan) -> Iterator[Note]:
     surfaces = {stroke.file.part_of or stroke.name: stroke.surface for stroke in plan.asked_strokes}
     faces = {name: each for name, each in surfaces.items() if isinstance(each, FaceSurface)}
     if found := {name: each.found for name, each in faces.items() if each.found}:
-        yield Note(level="note", key="faces", values={"found": found})
+        yield _note("note", "faces", found=found)
 
 
 def _slid(plan: Plan) -> Iterator[Note]:
@@ -255,15 +255,15 @@ def _slid(plan: Plan) -> Iterator[Note]:
         return
     q = np.concatenate([segment.trajectory.q[:, 0] for segment in plan.job.segments])
     if np.ptp(q) > _TOLD_SLIDE_M:
-        values = {"joint": plan.robot.joints[0], "low": float(q.min()), "high": float(q.max())}
-        yield Note(level="warning", key="slid", values=values | {"base": plan.scene.base_name})
+        ends = {"low": float(q.min()), "high": float(q.max())}
+        yield _note("warning", "slid", joint=plan.robot.joints[0], **ends, base=plan.scene.base_name)
 
 
 def _objective(plan: Plan) -> Iterator[Note]:
     """What was minimised, where that is not the torque on the base or gravity has no part in it."""
     objective, holding = plan.objective, plan.robot.holding
     if objective.floor is not None and objective.floor <= _ZERO_BOUND_SHARE * objective.planned_peak:
-        yield Note(level="warning", key="no_gravity", values={})
+        yield _note("warning", "no_gravity")
     if not objective.is_guardrail_torque:
         factor, unit = objective.shown_unit
         before = objective.baseline_peak
@@ -278,44 +278,42 @@ def _objective(plan: Plan) -> Iterator[Note]:
             "after": factor * objective.planned_peak,
             "faults": baseline_faults(plan, work=True),
         }
-        yield Note(level="note", key="objective", values=values)
+        yield _note("note", "objective", **values)
 
 
 def _compared(plan: Plan, baseline: Baseline) -> Iterator[Note]:
     """Where the plan is no better than the baseline, or that is no measure."""
     faults = baseline_faults(plan, work=True)
     if faults:
-        yield Note(level="warning", key="baseline", values={"faults": faults})
+        yield _note("warning", "baseline", faults=faults)
     approach, work = plan.approach, max(f.peak_guardrail_torque for f in (plan.figures, baseline.figures))
     if approach is not None and approach.figures.peak_guardrail_torque > work * (1 + _MIN_GAIN_SHARE):
-        yield Note(level="warning", key="approach", values={"base": plan.scene.base_name})
+        yield _note("warning", "approach", base=plan.scene.base_name)
     if (factor := further(plan)) >= _TOLD_TRAVEL_RATIO:
         ours, theirs = travels(plan, baseline)
         joint = int(plan.robot.metric.coordinates(ours - theirs).argmax())
         units = plan.robot.limits.units(joint, shown=True)
         far, other = (float(units.factor * each[joint]) for each in (ours, theirs))
-        values = {"factor": factor, "joint": plan.robot.joints[joint], "unit": units.position}
-        yield Note(level="note", key="travel", values=values | {"far": far, "other": other})
+        of = {"joint": plan.robot.joints[joint], "unit": units.position}
+        yield _note("note", "travel", factor=factor, **of, far=far, other=other)
     before, after = (each.limit_use.jerk for each in (baseline.figures, plan.figures))
     if plan.sway is not None and after > max(_MUCH_JERK_FACTOR * before, _LITTLE_JERK):
-        yield Note(level="warning", key="jerk", values={"factor": after / before, "share": after})
+        yield _note("warning", "jerk", factor=after / before, share=after)
     peak, least, floor = plan.objective.planned_peak, plan.objective.baseline_peak, plan.objective.floor
     sought = plan.options.objective != "travel"
     if least is None or not sought or peak < least * (1 - _MIN_GAIN_SHARE):
         return
     if peak > least * (1 + _MIN_GAIN_SHARE):
-        yield Note(level="warning", key="higher", values={"share": peak / least - 1})
+        yield _note("warning", "higher", share=peak / least - 1)
     elif not faults:
-        near = floor is not None and least < floor * (1 + _NEAR_BOUND)
-        yield Note(level="note", key="no_gain", values={"near": near})
+        yield _note("note", "no_gain", near=floor is not None and least < floor * (1 + _NEAR_BOUND))
 
 
 def _return(plan: Plan) -> Iterator[Note]:
     if plan.scene.return_to != "none":
         to = str(plan.scene.return_to)
         lacks = to == "stow" and STOW not in plan.robot.group_states
-        moves = plan.job.segment(RETURN) is not None
-        yield Note(level="note", key="return", values={"to": to, "lacks_stow": lacks, "moves": moves})
+        yield _note("note", "return", to=to, lacks_stow=lacks, moves=plan.job.segment(RETURN) is not None)
 
 
 def _bound(plan: Plan) -> Iterator[Note]:
@@ -336,16 +334,14 @@ def _bound(plan: Plan) -> Iterator[Note]:
         "any_start": plan.options.start == "pinned",
         "before_sag": plan.compensation is not None,
     }
-    yield Note(level="note" if closed else "warning", key="bound", values=values)
+    yield _note("note" if closed else "warning", "bound", **values)
 
 
 def _certified(plan: Plan) -> Iterator[Note]:
     segment, check = tightest_check(plan.job)
     promise = {**vars(check), "limit": str(check.limit), "when": during(segment, plan.job)}
-    yield Note(level="note", key="promise", values=promise)
+    yield _note("note", "promise", **promise)
     whole, seconds = plan.job.certificate, plan.seconds
-    base = plan.scene.base_name
-    values = {"checks": len(whole.checks), "text": whole.at_all_times(base)}
-    yield Note(level="note", key="certified", values=values)
+    yield _note("note", "certified", checks=len(whole.checks), text=whole.at_all_times(plan.scene.base_name))
     each = {name: getattr(seconds, name) for name in ("path", "optimise", "certify", "total")}
-    yield Note(level="note", key="seconds", values=each | {"passes": len(plan.passes)})
+    yield _note("note", "seconds", **each, passes=len(plan.passes))
