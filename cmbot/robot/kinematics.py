@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import BoolArray, FloatArray, cross, read_only
-from cmbot.robot.joint_kinds import Coupling, prismatic_joints
+from cmbot.common.arrays import FloatArray, cross, read_only
+from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
 # Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
@@ -122,14 +122,8 @@ class ToolBatch:
     tool_rotation : (N, 3, 3)
     axis, origin : (N, m, 3)
         Direction of the axis of each of all joints and a point on it, m.
-    prismatic : (m,)
-        Which of them slide.
-    coupling : Coupling
-        How they follow `q`.
-    tool_force : (3,), N
-        That acts on the tool, along its axes; zero with the tool off.
-    foot_point : (3,), m
-        O0.
+    arm : Postures
+        What evaluated them.
     part : HeldPart or None
         Where the tool is fixed: `Robot.fixed_tool`.
     """
@@ -139,10 +133,7 @@ class ToolBatch:
     tool_rotation: FloatArray
     axis: FloatArray
     origin: FloatArray
-    prismatic: BoolArray
-    coupling: Coupling
-    tool_force: FloatArray
-    foot_point: FloatArray
+    arm: Postures
     part: HeldPart | None = None
 
     def point_velocity(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -151,31 +142,31 @@ class ToolBatch:
         These are (N, 3, n), m/s/rad or 1/s; those by the rates are the first rows of the Jacobian.
         """
         # A subclass may add to the coordinates' Jacobian what moves the point beside the joints.
-        J = self.leading_jacobian if self.coupling.is_free else self._joints_jacobian
+        J = self.leading_jacobian if self.arm.coupling.is_free else self._joints_jacobian
         # From a part to a fixed tool the chain begins with the last joint.
         step = 1 if self.part is None else -1
         linear, angular = np.split(J.transpose(0, 2, 1)[..., ::step], 2)
-        rates = self.coupling.rates(v)[:, ::step]
+        rates = self.arm.coupling.rates(v)[:, ::step]
         moved, turned = linear * rates, angular * rates
         # A joint turns what the joints from it on add, and is turned by the joints before it.
         beyond = np.cumsum(moved[..., ::-1], axis=2)[..., ::-1]
         before = np.cumsum(turned, axis=2) - turned
         d_q = np.cross(angular, beyond, axis=0) + np.cross(before, linear, axis=0)
         slopes = np.asarray(d_q.transpose(1, 0, 2)[..., ::step])
-        if self.coupling.is_free:
+        if self.arm.coupling.is_free:
             return moved.sum(axis=2).T, slopes
         velocity = np.einsum("ijk,kj->ki", self.leading_jacobian[:3], v)
-        return velocity, self.coupling.projected(slopes)
+        return velocity, self.arm.coupling.projected(slopes)
 
     @cached_property
     def push(self) -> FloatArray:
         """The force on the tool (N, 3), N."""
-        return np.asarray(self.tool_rotation @ self.tool_force)
+        return np.asarray(self.tool_rotation @ self.arm.tool_force)
 
     @property
     def push_torque(self) -> FloatArray:
         """Its torque (N, 3) about O0, Nm."""
-        return cross(self.tool_point - self.foot_point, self.push)
+        return cross(self.tool_point - self.arm.foot_point, self.push)
 
     @property
     def torque_against_push(self) -> FloatArray:
@@ -190,7 +181,7 @@ class ToolBatch:
     @cached_property
     def leading_jacobian(self) -> FloatArray:
         """The same with components first, as it is computed: (6, n, N)."""
-        return self.coupling.projected(self._joints_jacobian, axis=1)
+        return self.arm.coupling.projected(self._joints_jacobian, axis=1)
 
     @cached_property
     def _joints_jacobian(self) -> FloatArray:
@@ -203,8 +194,8 @@ class ToolBatch:
             np.multiply(a[j], arm[k], out=J[i])
             J[i] -= a[k] * arm[j]
         J[3:] = a
-        if self.prismatic.any():
-            J[:3, self.prismatic], J[3:, self.prismatic] = a[:, self.prismatic], 0.0
+        if self.arm.prismatic.any():
+            J[:3, self.arm.prismatic], J[3:, self.arm.prismatic] = a[:, self.arm.prismatic], 0.0
         if self.part is not None:
             # That of the part's point at the tool: see `Robot.tool_seen`.
             halves = J.reshape(2, 3, *J.shape[1:])
@@ -220,19 +211,15 @@ class PostureBatch(ToolBatch):
     ----------
     centre : (N, m, 3), m
         Centre of mass of each joint's body.
-    mass : (m,), kg
-    gravity : (3,), m/s2
     """
 
     centre: FloatArray
-    mass: FloatArray
-    gravity: FloatArray
 
     @property
     def guardrail_force(self) -> FloatArray:
         """Static force (N, 3) on the guardrail, N: the arm's weight, and the force on the tool."""
-        weight = np.full((len(self.q), 3), self.mass.sum() * self.gravity)
-        return weight + self.push if self.tool_force.any() else weight
+        weight = np.full((len(self.q), 3), self.arm.mass.sum() * self.arm.gravity)
+        return weight + self.push if self.arm.tool_force.any() else weight
 
     @cached_property
     def guardrail_wrench(self) -> FloatArray:
@@ -242,30 +229,28 @@ class PostureBatch(ToolBatch):
     @cached_property
     def guardrail_torque(self) -> FloatArray:
         """Static torque (N, 3) on the guardrail about O0, Nm."""
-        moment = np.tensordot(self.mass, self.centre.transpose(1, 2, 0), axes=1)
-        if self.foot_point.any():
-            moment = moment - self.mass.sum() * self.foot_point[:, None]
-        torque = np.asarray((pin.skew(self.gravity).T @ moment).T)
-        return torque + self.push_torque if self.tool_force.any() else torque
+        moment = np.tensordot(self.arm.mass, self.centre.transpose(1, 2, 0), axes=1)
+        if self.arm.foot_point.any():
+            moment = moment - self.arm.mass.sum() * self.arm.foot_point[:, None]
+        torque = np.asarray((pin.skew(self.arm.gravity).T @ moment).T)
+        return torque + self.push_torque if self.arm.tool_force.any() else torque
 
     @cached_property
     def joint_torque(self) -> FloatArray:
         """Static joint torques (N, n), Nm (Chang 2021, Eq. (13)); forces, N, of joints that slide."""
-        about = pin.skew(self.gravity) @ self.carried_moment
-        carried = np.cumsum(self.mass[::-1])[::-1]
-        for i in np.flatnonzero(self.prismatic):
-            about[i] = -carried[i] * self.gravity[:, None]
-        torque = self.coupling.projected((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
-        return torque + self.torque_against_push if self.tool_force.any() else torque
+        about = pin.skew(self.arm.gravity) @ self.carried_moment
+        for i in np.flatnonzero(self.arm.prismatic):
+            about[i] = -self.arm.carried[i] * self.arm.gravity[:, None]
+        torque = self.arm.coupling.projected((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
+        return torque + self.torque_against_push if self.arm.tool_force.any() else torque
 
     @cached_property
     def carried_moment(self) -> FloatArray:
         """First moment (m, 3, N), kg m, about each joint's origin of all mass from that joint to the tool."""
-        moment = self.mass[:, None, None] * self.centre.transpose(1, 2, 0)
+        moment = self.arm.mass[:, None, None] * self.centre.transpose(1, 2, 0)
         for i in reversed(range(len(moment) - 1)):
             moment[i] += moment[i + 1]
-        carried = np.cumsum(self.mass[::-1])[::-1]
-        moment -= carried[:, None, None] * self.origin.transpose(1, 2, 0)
+        moment -= self.arm.carried[:, None, None] * self.origin.transpose(1, 2, 0)
         return np.asarray(moment)
 
 
@@ -284,21 +269,33 @@ class Postures:
         of `metric`, the tool is at most this times the square of x from where its Jacobian predicts it.
     metric : PostureMetric
         How far postures are apart.
+    coupling : Coupling
+        How all m joints follow those of a posture.
+    prismatic : (m,)
+        Which of them slide.
+    mass, carried : (m,), kg
+        Of each joint's body, and of all from it to the tool.
+    gravity : (3,), m/s2
+    tool_force : (3,), N
+        That acts on the tool, along its axes; zero with the tool off.
+    foot_point : (3,), m
+        O0.
     """
 
     def __init__(self, robot: Robot) -> None:
         X_JT = robot.model.frames[robot.tool_frame_id].placement
-        self._model, self._coupling = robot.model, robot.coupling
-        self._prismatic = prismatic_joints(robot.model)
+        self._model, self.coupling = robot.model, robot.coupling
+        self.prismatic = prismatic_joints(robot.model)
         self._tool = np.column_stack([X_JT.rotation, X_JT.translation]).T
         bodies = list(robot.model.inertias)[1:]
         self._levers = np.array([body.lever for body in bodies])
-        self._mass = np.array([body.mass for body in bodies])
-        self._gravity = np.array(robot.model.gravity.linear)
-        self._tool_force = np.array(robot.tool_force)
-        self._fixed_tool, self._foot_point = robot.fixed_tool, np.array(robot.foot_point)
+        self.mass = np.array([body.mass for body in bodies])
+        self.carried = np.cumsum(self.mass[::-1])[::-1]
+        self.gravity = np.array(robot.model.gravity.linear)
+        self.tool_force = np.array(robot.tool_force)
+        self._fixed_tool, self.foot_point = robot.fixed_tool, np.array(robot.foot_point)
         # A move of one joint by one is one of those that follow it, too.
-        moved = float(self._coupling.summed(np.ones(len(bodies))).max())
+        moved = float(self.coupling.summed(np.ones(len(bodies))).max())
         self.bend = 0.5 * max(robot.reach, robot.levers.max(), _ROTATION_CURVATURE) * moved**2
         self.metric = robot.metric
 
@@ -314,7 +311,7 @@ class Postures:
     def geometry(self) -> tuple[bytes, ...]:
         """What `tool_at`, `bend` and `metric` follow from: equal for equal arms, whatever they weigh."""
         chain, metric = self._tool_only, self.metric
-        follow = self._coupling
+        follow = self.coupling
         numbers = (
             *(self._tool, np.array([self.bend, metric.length]), metric.prismatic),
             *(follow.leader, follow.multiplier, follow.offset),
@@ -327,9 +324,9 @@ class Postures:
 
     def at(self, q: FloatArray) -> PostureBatch:
         """Evaluate postures `q` (N, n)."""
-        centre = np.empty((len(self._mass), 3, len(q)))
+        centre = np.empty((len(self.mass), 3, len(q)))
         tool = self._evaluate(self._chain, q, centre)
-        return PostureBatch(**tool, centre=centre.transpose(2, 0, 1), mass=self._mass, gravity=self._gravity)
+        return PostureBatch(**tool, centre=centre.transpose(2, 0, 1))
 
     def tool_at(self, q: FloatArray) -> ToolBatch:
         """Evaluate the tool alone in postures `q` (N, n), which is quicker."""
@@ -337,7 +334,7 @@ class Postures:
 
     def _evaluate(self, chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, Any]:
         """The fields of a `ToolBatch`; the centres of mass (m, 3, N) are written to `centre`."""
-        every, N = self._coupling.positions(q), len(q)
+        every, N = self.coupling.positions(q), len(q)
         tool, axis, origin = np.empty((4, 3, N)), *np.empty((2, every.shape[1], 3, N))
         for start in range(0, N, _POSTURES_PER_BLOCK):
             block = slice(start, start + _POSTURES_PER_BLOCK)
@@ -354,15 +351,12 @@ class Postures:
             rotation = rotation.transpose(0, 2, 1) @ fixed.rotation
         return {
             "q": q,
+            "arm": self,
             "part": part,
             "tool_point": point,
             "tool_rotation": rotation,
             "axis": axis.transpose(2, 0, 1),
             "origin": origin.transpose(2, 0, 1),
-            "prismatic": self._prismatic,
-            "coupling": self._coupling,
-            "tool_force": self._tool_force,
-            "foot_point": self._foot_point,
         }
 
 

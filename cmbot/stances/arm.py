@@ -201,7 +201,7 @@ class BaseArm:
         """
         at = self.postures.at(q)
         push = at.tool_rotation @ (share * self._force)
-        moment = np.einsum("b,kbi->ki", at.mass, at.centre)
+        moment = np.einsum("b,kbi->ki", at.arm.mass, at.centre)
         return at, loads.wrench(stance, moment, self._mass, push, at.tool_point), push
 
     @staticmethod
@@ -209,7 +209,7 @@ class BaseArm:
         """Torques (N, n) of the joints by the weight that they carry."""
         carried = at.carried_moment.transpose(2, 0, 1)
         weight = np.cross(loads.gravity[stance][:, None], carried)
-        return at.coupling.projected(np.einsum("kni,kni->kn", at.axis, weight))
+        return at.arm.coupling.projected(np.einsum("kni,kni->kn", at.axis, weight))
 
     def _ranked(
         self, q: FloatArray, stance: IntArray, wrench: FloatArray, push: FloatArray, loads: StanceLoads
@@ -314,7 +314,7 @@ class BaseArm:
         moved = np.cross(at.axis, at.carried_moment.transpose(2, 0, 1))
         torques = np.cross(moved, loads.gravity[of][:, None])
         by_torque = loads.slope(of, wrench, at.tool_point)
-        return at.coupling.projected(np.einsum("kni,ki->kn", torques, by_torque))
+        return at.arm.coupling.projected(np.einsum("kni,ki->kn", torques, by_torque))
 
     def _along_self_motion(self, task: ToolTask, q: FloatArray, slope: FloatArray) -> FloatArray:
         at = self.postures.tool_at(q)

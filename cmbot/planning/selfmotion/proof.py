@@ -391,7 +391,7 @@ class TorqueFloorProof:
         constant = np.concatenate([push, cross(lever, push)])
         value, gradient = self._function(at.guardrail_wrench + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
-        return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])
+        return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.arm.gravity), gradient[:, 3:])
 
     @staticmethod
     def _moved(at: PostureBatch) -> FloatArray:
@@ -401,7 +401,7 @@ class TorqueFloorProof:
     def _torque_slopes(self, at: PostureBatch) -> FloatArray:
         """Derivatives (N, n, n) of the static joint torques."""
         # By joints i <= j: gravity times axis i crossed with the moved moment of joint j.
-        about = cross(self._moved(at), -at.gravity)
+        about = cross(self._moved(at), -at.arm.gravity)
         H = np.einsum("kia,kja->kij", at.axis, about)
         upper = np.triu(H)
         return np.asarray(upper + np.triu(H, 1).transpose(0, 2, 1))
@@ -477,5 +477,5 @@ def _moment_bounds(cell: Workcell) -> FloatArray:
             steps = np.diff(points, axis=0)
             length = np.linalg.norm(cross(steps[0], axis[j]))
             length += np.linalg.norm(steps[1:], axis=1).sum()
-            bounds[j] += at.mass[body] * length
+            bounds[j] += at.arm.mass[body] * length
     return np.asarray(np.maximum.accumulate(bounds[::-1])[::-1])

@@ -37,8 +37,7 @@ class BentToolBatch(ToolBatch):
     @cached_property
     def rigid(self) -> ToolBatch:
         """The tool of the rigid arm."""
-        names = ("q", "tool_rotation", "axis", "origin", "prismatic", "coupling")
-        own = {name: getattr(self, name) for name in (*names, "tool_force", "foot_point", "part")}
+        own = {name: getattr(self, name) for name in ("q", "tool_rotation", "axis", "origin", "arm", "part")}
         return ToolBatch(**own, tool_point=self.tool_point - self.sag)
 
 

@@ -109,7 +109,7 @@ class Balance:
     def _centres(self, postures: Postures, X_WB: FloatArray, arms: FloatArray) -> FloatArray:
         """Centres of mass (K, 3), m, of the arm in the base's frame."""
         at = postures.at(arms)
-        centre = np.einsum("b,kbi->ki", at.mass, at.centre) / at.mass.sum()
+        centre = np.einsum("b,kbi->ki", at.arm.mass, at.centre) / at.arm.mass.sum()
         return np.asarray((centre - X_WB[:3, 3]) @ X_WB[:3, :3])
 
     def _roadmap(self, robot: Robot, parent: IntArray) -> None:
@@ -285,8 +285,8 @@ def _held(postures: Postures, q: FloatArray, torque: FloatArray, tilt: FloatArra
     """Which postures (N, 7) the joints can hold, also where the base is turned by up to `tilt` (N,), rad."""
     at = postures.at(q)
     moment = np.cross(at.axis, at.carried_moment.transpose(2, 0, 1))
-    size, g = np.linalg.norm(moment, axis=2), np.linalg.norm(at.gravity)
-    along = np.abs(moment @ at.gravity) / np.maximum(size * g, 1e-9)
+    size, g = np.linalg.norm(moment, axis=2), np.linalg.norm(at.arm.gravity)
+    along = np.abs(moment @ at.arm.gravity) / np.maximum(size * g, 1e-9)
     away = np.arccos(np.clip(along, 0.0, 1.0))
     carried = size * g * np.cos(np.maximum(away - tilt[:, None], 0.0))
     return np.asarray((carried <= _HELD * torque).all(axis=1))
