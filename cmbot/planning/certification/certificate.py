@@ -10,7 +10,7 @@ Ranges, rates and continuity of the joints, and the postures at both ends, are e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -101,12 +101,7 @@ class Certificate(ShortRepr):
         for check in self.checks:
             if not check.holds:
                 raise LimitViolation(
-                    check.quantity,
-                    time=check.time,
-                    value=check.value,
-                    bound=check.bound,
-                    unit=check.unit,
-                    limit=check.limit,
+                    **{each.name: getattr(check, each.name) for each in fields(LimitViolation)}
                 )
 
 
