@@ -312,11 +312,9 @@ def features_to_touch(scene: Scene, number: int) -> tuple[list[Feature], FloatAr
     return features, expected_covariance(chosen, middle)
 
 
-def expected_covariance(
-    points: Sequence[FloatArray], about: FloatArray, setup: TouchSetup | None = None
-) -> FloatArray:
-    """Return the covariance (6, 6) of a place after touches of `points`, about a point (3,)."""
-    setup = setup or TouchSetup()
+def expected_covariance(points: Sequence[FloatArray], about: FloatArray) -> FloatArray:
+    """Return the covariance (6, 6) of a place after usual touches of `points`, about a point (3,)."""
+    setup = TouchSetup()
     information = np.diag(_prior(setup) ** -2.0)
     for point in points:
         J = np.hstack([np.eye(3), -pin.skew(point - about)]) / (1e-3 * setup.touch_sd_mm)
