@@ -1,8 +1,9 @@
-"""Names for the arrays of annotations, whose shapes and units stand in the docstrings; vector products."""
+"""Names for the arrays of annotations, whose shapes and units stand in the docstrings; batches; products."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from dataclasses import fields
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,25 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
 _Array = TypeVar("_Array", bound=NDArray[np.generic])
+
+
+class Batch:
+    """Base of dataclasses of arrays that have their first axis in common."""
+
+    def __len__(self) -> int:
+        return len(self._arrays[0])
+
+    def __getitem__(self, index: BoolArray | IntArray | slice) -> Self:
+        return type(self)(*(array[index] for array in self._arrays))
+
+    @property
+    def _arrays(self) -> list[Any]:
+        return [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]
+
+    @classmethod
+    def joined(cls, *some: Self) -> Self:
+        """Return all of them in one."""
+        return cls(*map(np.concatenate, zip(*(each._arrays for each in some), strict=True)))
 
 
 def read_only(array: _Array) -> _Array:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import Batch, FloatArray, IntArray
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -25,7 +25,7 @@ _MAX_UNIT_MOVE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class LocalRows:
+class LocalRows(Batch):
     """Local splines and their first three derivatives at N times, as far as they live there.
 
     Attributes
@@ -38,9 +38,6 @@ class LocalRows:
 
     segment: IntArray
     weight: FloatArray
-
-    def __getitem__(self, index: IntArray | slice) -> LocalRows:
-        return LocalRows(self.segment[index], self.weight[index])
 
     def by_spline(self, derivative: FloatArray) -> FloatArray:
         """Take derivatives (k, N, d) by position and the next orders to those (N, w, d) by the splines."""

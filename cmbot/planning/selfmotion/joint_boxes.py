@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
+from cmbot.common.arrays import Batch, BoolArray, FloatArray, IntArray, cross
 
 # Added to intervals of angles, rad.
 _ANGLE_ROUNDING = 1e-9
@@ -18,7 +18,7 @@ _OTHER_COLUMNS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 @dataclass(frozen=True, eq=False)
-class JointBoxes:
+class JointBoxes(Batch):
     """Boxes of joint angles between `lower` and `upper` (N, n), rad.
 
     `side` (N,) says on which of its two solutions the middle angle of the spherical joint is, 1 or -1.
@@ -27,12 +27,6 @@ class JointBoxes:
     lower: FloatArray
     upper: FloatArray
     side: IntArray
-
-    def __len__(self) -> int:
-        return len(self.lower)
-
-    def __getitem__(self, index: BoolArray | IntArray | slice) -> JointBoxes:
-        return JointBoxes(self.lower[index], self.upper[index], self.side[index])
 
     @property
     def middle(self) -> FloatArray:
@@ -50,16 +44,8 @@ class JointBoxes:
         upper, lower = self.upper.copy(), self.lower.copy()
         upper[k, joint] = middle[k, joint]
         lower[k, joint] = middle[k, joint]
-        return joined(JointBoxes(self.lower, upper, self.side), JointBoxes(lower, self.upper, self.side))
-
-
-def joined(*boxes: JointBoxes) -> JointBoxes:
-    """Return all boxes in one."""
-    return JointBoxes(
-        np.concatenate([b.lower for b in boxes]),
-        np.concatenate([b.upper for b in boxes]),
-        np.concatenate([b.side for b in boxes]),
-    )
+        halves = JointBoxes(self.lower, upper, self.side), JointBoxes(lower, self.upper, self.side)
+        return JointBoxes.joined(*halves)
 
 
 def narrowed(

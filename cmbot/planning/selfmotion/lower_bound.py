@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import Batch, BoolArray, FloatArray, IntArray
 from cmbot.common.reading.file_types import Count, NonNegative, Row, Share
 from cmbot.common.representation import ShortRepr
 from cmbot.planning.postures.projection import null_space, project_onto_task
@@ -205,16 +205,13 @@ def with_proof(
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
+class _Cells(Batch):
     """Boxes on the self-motion: centres (M, n), unit edges (M, d, n), half lengths (M, d), via-points."""
 
     q: FloatArray
     edges: FloatArray
     half: FloatArray
     of: IntArray
-
-    def __getitem__(self, index: BoolArray | IntArray) -> _Cells:
-        return _Cells(self.q[index], self.edges[index], self.half[index], self.of[index])
 
 
 class _BranchAndBound:

@@ -24,7 +24,6 @@ from cmbot.planning.selfmotion.joint_boxes import (
     common_moves,
     frame_about,
     inverses,
-    joined,
     narrowed,
     without_pivot,
 )
@@ -133,7 +132,7 @@ class TorqueFloorProof:
         """
         goal = self._chain.goal_centre[via_point]
         boxes = self._coarse(goal)
-        boxes = joined(boxes, replace(boxes, side=-boxes.side))
+        boxes = JointBoxes.joined(boxes, replace(boxes, side=-boxes.side))
         examined, left_out, posture = len(boxes), np.inf, None
         for number in range(_MAX_HALVINGS):
             boxes = self._by_centre(boxes, goal)
@@ -164,7 +163,7 @@ class TorqueFloorProof:
         """Whether it is proven that no posture within the joint ranges holds the tool at a via-point."""
         goal = self._chain.goal_centre[via_point]
         boxes = self._coarse(goal)
-        boxes = joined(boxes, replace(boxes, side=-boxes.side))
+        boxes = JointBoxes.joined(boxes, replace(boxes, side=-boxes.side))
         for _ in range(_REACH_ROUNDS):
             boxes = self._by_wrist(self._by_centre(boxes, goal))
             boxes, _, keep = self._on_task(boxes, goal, np.zeros_like(boxes.lower))
@@ -186,7 +185,7 @@ class TorqueFloorProof:
                 return boxes
             wide = half.max(axis=1) > _COARSE_HALF_WIDTH
             joint = split[half[wide].argmax(axis=1)]
-            boxes = joined(boxes[~wide], boxes[wide].halved(joint))
+            boxes = JointBoxes.joined(boxes[~wide], boxes[wide].halved(joint))
 
     def _by_centre(self, boxes: JointBoxes, goal: FloatArray) -> JointBoxes:
         """Drop and narrow boxes by where the inner joints may place the centre of the spherical joint.

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import betaincinv
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import Batch, BoolArray, FloatArray, IntArray
 from cmbot.planning.postures.projection import TangentPredictor, null_space, project_onto_task
 from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.request import StrokeRequest
@@ -237,7 +237,7 @@ class SelfMotionSampler:
                 there = (beside >= 0) & (beside < len(goals))
                 ahead = predictor.towards(goals[np.where(there, beside, new.of)])
                 both.append(_Postures(ahead[there], beside[there]))
-            some = _Postures.joined(both)
+            some = _Postures.joined(*both).by_chart()
             self._grow(self._place(self._far(some, sets), goals, sets), goals, sets)
 
     def _each(
@@ -341,7 +341,7 @@ class SelfMotionSampler:
 
 
 @dataclass(frozen=True, eq=False)
-class _Postures:
+class _Postures(Batch):
     """Postures (N, n) and the ascending indices (N,) of their charts."""
 
     q: FloatArray
@@ -352,15 +352,9 @@ class _Postures:
         """Stack the postures of charts."""
         return _Postures(np.vstack(charts), np.repeat(np.arange(len(charts)), [len(q) for q in charts]))
 
-    @staticmethod
-    def joined(some: Sequence[_Postures]) -> _Postures:
-        """Postures of several such, sorted by their charts."""
-        of = np.concatenate([each.of for each in some])
-        order = np.argsort(of, kind="stable")
-        return _Postures(np.concatenate([each.q for each in some])[order], of[order])
-
-    def __getitem__(self, index: BoolArray) -> _Postures:
-        return _Postures(self.q[index], self.of[index])
+    def by_chart(self) -> _Postures:
+        """Sort them by their charts."""
+        return self[np.argsort(self.of, kind="stable")]
 
 
 def sampled_charts(request: StrokeRequest) -> tuple[SelfMotionSampler, list[FloatArray]]:
