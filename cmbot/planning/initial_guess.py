@@ -15,7 +15,7 @@ from cmbot.planning.path.gradient_projection import find_path, follow_path
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.postures.sampler import axis_leans
 from cmbot.planning.request import StrokeRequest
-from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
+from cmbot.planning.selfmotion.global_search import POSTURE_TOLERANCE, GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
 from cmbot.planning.workcell.diagnosis import nearest_to_end, out_of_range
@@ -31,8 +31,6 @@ _HOPELESS, _MAX_GUESS_HALVINGS, _NEXT_TO_NOTHING, _MAX_LEAP_HALVINGS = 4.0, 3, 1
 # rad, and the posture with the tool on its path that is nearest to its middle is further from there than this
 # share of it.
 _LEAP_RAD, _OFF_THE_MIDDLE = 0.3, 0.3
-# Two postures nearer than this in every joint are one, rad.
-_POSTURE_TOLERANCE = 1e-9
 # Random postures in which links are sought that are always near each other.
 _SAMPLE_SIZE = 200
 # Newton steps at most from postures that may be far from the task.
@@ -295,7 +293,7 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
         return fixed_guess(request)
     rate = earlier.duration / request.times[-1]
     q, v, a = (rate**order * earlier.evaluate(request.times * rate, order) for order in range(3))
-    begins_there = float(np.abs(q[0] - request.first).max()) <= _POSTURE_TOLERANCE
+    begins_there = float(np.abs(q[0] - request.first).max()) <= POSTURE_TOLERANCE
     pinned = options.start == "pinned" or begins_there
     placed = _placed(request, q)
     if pinned:

@@ -16,13 +16,11 @@ import numpy as np
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.request import StrokeRequest, build_request, in_cells, strokes_of, task_of
-from cmbot.planning.selfmotion.reachability import out_of_reach
+from cmbot.planning.selfmotion.reachability import REACH_TOLERANCE, out_of_reach
 from cmbot.planning.workcell.workcell import robot_of
 from cmbot.robot import Finding, Robot
 from cmbot.scene import Scene, Stroke
 
-# A stretched arm is not out of its own reach.
-_REACH_TOLERANCE = 1e-9
 # Leans of a raster's tool that are tried, degrees.
 _LEANS = ((0.0, 15.0), (0.0, -15.0), (15.0, 0.0), (-15.0, 0.0))
 
@@ -40,9 +38,9 @@ def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
         return
     distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
     start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
-    if stroke.file.start_pose is not None and start > robot.reach * (1 + _REACH_TOLERANCE):
+    if stroke.file.start_pose is not None and start > robot.reach * (1 + REACH_TOLERANCE):
         yield f"{stroke.key}.from", start
-    for k in np.flatnonzero(distances > robot.reach * (1 + _REACH_TOLERANCE)):
+    for k in np.flatnonzero(distances > robot.reach * (1 + REACH_TOLERANCE)):
         yield stroke.leg_key(int(k)), float(distances[k])
 
 
@@ -51,7 +49,7 @@ def require_within_reach(request: StrokeRequest) -> None:
     path, robot = request.task.path, request.cell.robot
     for key, distance in beyond_reach(request.stroke, robot):
         away = np.linalg.norm(request.goals.point - robot.base_point, axis=1)
-        time = float(request.times[np.argmax(away > robot.reach * (1 + _REACH_TOLERANCE))])
+        time = float(request.times[np.argmax(away > robot.reach * (1 + REACH_TOLERANCE))])
         joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
         what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(

@@ -14,7 +14,8 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
-_TURN = 2 * np.pi
+TURN = 2 * np.pi
+"""A whole turn, rad."""
 
 
 def prismatic_joints(model: Any) -> BoolArray:
@@ -175,7 +176,7 @@ class PostureMetric:
     @cached_property
     def period(self) -> FloatArray:
         """After what coordinates (n,) are the same again, rad: a turn, zero for joints that slide."""
-        return np.where(self.prismatic, 0.0, _TURN)
+        return np.where(self.prismatic, 0.0, TURN)
 
     def coordinates(self, q: FloatArray) -> FloatArray:
         """Return the coordinates of postures or moves (..., n) in which distances are Euclidean, rad."""
@@ -190,9 +191,9 @@ class PostureMetric:
 
         So a k-d tree with the box `period` takes them.
         """
-        turned = np.where(self.prismatic, self.coordinates(q), q % _TURN) if self.mixed else q % _TURN
+        turned = np.where(self.prismatic, self.coordinates(q), q % TURN) if self.mixed else q % TURN
         # A tiny negative angle rounds up to a whole turn.
-        turned[(turned >= _TURN) & ~self.prismatic] = 0.0
+        turned[(turned >= TURN) & ~self.prismatic] = 0.0
         return np.asarray(turned)
 
     def lengths(self, moves: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from cmbot.robot.description.limits_file import (
     MoveItLimitsFile,
     read_joint_limits,
 )
-from cmbot.robot.joint_kinds import Coupling, JointUnits, joint_units, prismatic_joints
+from cmbot.robot.joint_kinds import TURN, Coupling, JointUnits, joint_units, prismatic_joints
 
 ASSUMED_ACCELERATION = 2.0
 """Acceleration limit that is assumed where none is given, as a share of the velocity limit, 1/s."""
@@ -42,7 +42,6 @@ ASSUMED_JERK = 10.0
 _ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _EFFORT_FLOOR = 1.0, 0.1, 2.0, 0.01
 # A range, rad, that ends between these is likely to be in degrees: after four turns, or with no end meant.
 _MANY_TURNS, _NO_END = 8 * np.pi, 1e3
-_TURN = 2 * np.pi
 # The range of a joint that slides ends somewhere, m.
 _MAX_RANGE_M = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
@@ -135,12 +134,12 @@ class JointLimits(ShortRepr):
     @property
     def winding(self) -> BoolArray:
         """Which joints (n,) can turn by more than a whole turn."""
-        return np.asarray(~self.prismatic & (self.upper - self.lower > _TURN))
+        return np.asarray(~self.prismatic & (self.upper - self.lower > TURN))
 
     @property
     def sampled_half(self) -> FloatArray:
         """Half the range (n,) about its middle that has all postures once: at most half a turn."""
-        return np.where(self.prismatic, self.range_half, np.minimum(self.range_half, 0.5 * _TURN))
+        return np.where(self.prismatic, self.range_half, np.minimum(self.range_half, 0.5 * TURN))
 
     @property
     def sampled(self) -> tuple[FloatArray, FloatArray]:
@@ -154,7 +153,7 @@ class JointLimits(ShortRepr):
     @property
     def within_a_turn(self) -> tuple[FloatArray, FloatArray]:
         """Ends (n,) of the ranges, lower and upper, at most half a turn from zero where joints turn."""
-        half = np.where(self.prismatic, np.inf, 0.5 * _TURN)
+        half = np.where(self.prismatic, np.inf, 0.5 * TURN)
         return np.maximum(self.lower, -half), np.minimum(self.upper, half)
 
     def contain(self, q: FloatArray) -> BoolArray:
@@ -169,15 +168,15 @@ class JointLimits(ShortRepr):
 
         Only joints that are `winding` (n,) change, by default those that can turn by more than a whole turn.
         """
-        turns = np.where(self.winding if winding is None else winding, _TURN, np.inf)
-        near = q - _TURN * np.where(np.isfinite(turns), np.round((q - posture) / turns), 0.0)
+        turns = np.where(self.winding if winding is None else winding, TURN, np.inf)
+        near = q - TURN * np.where(np.isfinite(turns), np.round((q - posture) / turns), 0.0)
         return np.where((near >= self.lower) & (near <= self.upper), near, q)
 
     def turned_to_middle(self, q: FloatArray) -> FloatArray:
         """Return `q` (N, n) less whole turns of joints, within half a turn of the middle of each range."""
         # Exact for angles that are there already.
-        turns = np.round((q - self.range_middle) / _TURN)
-        turned: FloatArray = q - _TURN * np.where(self.prismatic, 0.0, turns)
+        turns = np.round((q - self.range_middle) / TURN)
+        turned: FloatArray = q - TURN * np.where(self.prismatic, 0.0, turns)
         return turned
 
 

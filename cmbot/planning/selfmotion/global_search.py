@@ -39,8 +39,8 @@ from cmbot.planning.selfmotion.sampler import sampled_charts
 from cmbot.planning.workcell.diagnosis import no_start_left
 from cmbot.toolpath import ToolPoses, shortest_turns
 
-# Two postures nearer than this in every joint are one, rad.
-_POSTURE_TOLERANCE = 1e-9
+POSTURE_TOLERANCE = 1e-9
+"""Two postures nearer than this in every joint are one, rad."""
 # Task coordinates of a whole pose.
 _POSE_COORDINATES = 6
 # Sequences beside one.
@@ -297,7 +297,7 @@ class GlobalSearch:
         chart, posture = self._layers[0].chart, self._request.first
         moves = self._moves(posture, chart.q)
         away = self._largest(moves)
-        others = np.flatnonzero(chart.within & (away >= _POSTURE_TOLERANCE))
+        others = np.flatnonzero(chart.within & (away >= POSTURE_TOLERANCE))
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._request.cell.options.other_starts]:
@@ -367,7 +367,7 @@ class GlobalSearch:
         if starts is None:
             starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
-            starts = self._largest(self._moves(start, layers[0].chart.q)) < _POSTURE_TOLERANCE
+            starts = self._largest(self._moves(start, layers[0].chart.q)) < POSTURE_TOLERANCE
         request.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(request, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])

@@ -14,8 +14,8 @@ from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
 from cmbot.planning.workcell.objectives import WeightedMoment
 
-# A stretched or folded arm is not out of its own reach, m.
-_REACH_TOLERANCE = 1e-9
+REACH_TOLERANCE = 1e-9
+"""A stretched or folded arm is not out of its own reach, by this share of it."""
 
 
 def out_of_reach(request: StrokeRequest, via_point: int) -> str:
@@ -24,9 +24,9 @@ def out_of_reach(request: StrokeRequest, via_point: int) -> str:
     distance = float(np.linalg.norm(request.goals.point[via_point] - robot.base_point))
     where = f"out of reach: the tool point is {distance:.3f} m from the arm's first joint"
     # A fixed tool's point is none in W.
-    if robot.fixed_tool is None and distance > robot.reach * (1 + _REACH_TOLERANCE):
+    if robot.fixed_tool is None and distance > robot.reach * (1 + REACH_TOLERANCE):
         return f"{where}, which the arm with its tool stretched out, {robot.reach:.3f} m, does not reach"
-    if robot.fixed_tool is None and distance < robot.inner_reach * (1 - _REACH_TOLERANCE):
+    if robot.fixed_tool is None and distance < robot.inner_reach * (1 - REACH_TOLERANCE):
         return f"{where}, nearer than {robot.inner_reach:.3f} m, as near as its links can bring it"
     chain = wrist_chain(request)
     # Any objective: none is bounded.

@@ -16,12 +16,10 @@ from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.task import ToolTask
 from cmbot.planning.workcell.bent_tool import BentTool
-from cmbot.planning.workcell.objectives import efforts_of
+from cmbot.planning.workcell.objectives import ZERO_NORM, efforts_of
 from cmbot.robot import Dynamics, Efforts, Postures, ToolBatch
 from cmbot.toolpath import ToolPoses
 
-# A norm has no derivative at zero; below this share of its bound it is taken as flat.
-_ZERO_NORM = 1e-12
 # Directions across a leg in which the tool is held near it, or in which its axis may lean.
 _DIRECTION_COUNT = 8
 # Samples from one bounded or measured clearance to the next, from coarse to fine.
@@ -167,7 +165,7 @@ class ToolDeviation(_OfTask):
         J = tool.jacobian[:, :3]
         offset = self.task.path.leg_offset(states.t, tool.tool_point) / self.bound
         distance = np.linalg.norm(offset, axis=1)
-        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _ZERO_NORM)[:, None] / self.bound, J)
+        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, ZERO_NORM)[:, None] / self.bound, J)
         leg = self.task.path.leg_directions(states.t)
         # The first direction is the distance's own.
         directions = _directions_across(leg, offset)[1:]
@@ -225,7 +223,7 @@ class ToolRotation(_OfTask):
         # The errors lead to the goal: they fall as the tool turns towards it.
         J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
         angle = np.linalg.norm(turn, axis=1)
-        d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _ZERO_NORM)[:, None], J)
+        d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, ZERO_NORM)[:, None], J)
         return Linearization.by_position(angle - 1, d_q)
 
 
@@ -291,7 +289,7 @@ class ToolSpeed(_OfTool):
         tool = self._tool(states)
         velocity, by_q = tool.point_velocity(states.v)
         speed = np.linalg.norm(velocity, axis=1) / self.bound
-        along = velocity / np.maximum(speed, _ZERO_NORM)[:, None] / self.bound**2
+        along = velocity / np.maximum(speed, ZERO_NORM)[:, None] / self.bound**2
         d_q, d_v = (np.einsum("ki,kij->kj", along, by) for by in (by_q, tool.jacobian[:, :3]))
         return Linearization(speed - 1, d_q, d_v, np.zeros_like(d_q))
 
@@ -321,7 +319,7 @@ class ProcessSpeed(_OfTask):
         tool = self._tool(states)
         velocity, by_q = tool.point_velocity(states.v)
         per_speed, along = self._asked(states)
-        speed = np.maximum(np.linalg.norm(velocity, axis=1), _ZERO_NORM)[:, None]
+        speed = np.maximum(np.linalg.norm(velocity, axis=1), ZERO_NORM)[:, None]
         factor = (per_speed / self.bound)[:, None]
         direction = factor * np.where((component == 0)[:, None], velocity / speed, -along)
         d_q, d_v = (np.einsum("ki,kij->kj", direction, by) for by in (by_q, tool.jacobian[:, :3]))
@@ -346,7 +344,7 @@ def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     axis = np.where(axis.any(axis=1, keepdims=True), axis, np.eye(3)[np.abs(away).argmin(axis=1)])
     across = cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     own = away - np.einsum("ki,ki->k", away, axis)[:, None] * axis
-    u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _ZERO_NORM, own, across)
+    u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > ZERO_NORM, own, across)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     angle = np.arange(_DIRECTION_COUNT)[:, None, None] * (2 * np.pi / _DIRECTION_COUNT)
     return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))

@@ -18,8 +18,9 @@ from cmbot.optimization import Linearization, StateSamples
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
 
-# A norm has no derivative at zero; below this share of its largest value it is taken as flat.
-_ZERO_NORM = 1e-12
+ZERO_NORM = 1e-12
+"""A norm has no derivative at zero; below this share of its bound, or largest value, it is taken as flat."""
+
 # A function is tried at this share of a step to each side, and its gradient is believed to this accuracy.
 _DIFFERENCE_STEP_SHARE, _GRADIENT_TOLERANCE = 1e-5, 1e-3
 
@@ -77,7 +78,7 @@ class WeightedMoment:
         """Return the norms (N,), Nm, and their gradients (N, 6)."""
         moment = wrench @ self.matrix.T
         value = np.linalg.norm(moment, axis=1)
-        unit = moment / np.maximum(value, _ZERO_NORM * value.max(initial=1.0))[:, None]
+        unit = moment / np.maximum(value, ZERO_NORM * value.max(initial=1.0))[:, None]
         return np.asarray(value), np.asarray(unit @ self.matrix)
 
 

@@ -19,6 +19,7 @@ from cmbot.common.representation import ShortRepr
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.robot.description.completion import AttachedTool
 from cmbot.robot.description.limits_file import read_joint_limits
+from cmbot.robot.description.xacro import ROBOT_NAME
 from cmbot.robot.description.xml_file import read_urdf
 
 _SHIPPED_ROBOT = "cmbot"
@@ -30,7 +31,6 @@ _CMBOT_LIMITS = re.compile(
 )
 # Where ROS packages have files of joint limits, from the URDF's folder, and SRDFs.
 _LIMITS_PLACES, _SRDF_PLACES = (".", "../config", "config"), (".", "../srdf", "../config", "config")
-_ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +184,7 @@ def _srdf_near(urdf: Path) -> Path | None:
 def _robot_name(file: Path) -> bytes | None:
     """The name that a URDF or an SRDF gives its robot."""
     with suppress(ModelError):  # who reads the file says what is wrong with it
-        if found := _ROBOT_NAME.search(read_input(file, ModelError)):
+        if found := ROBOT_NAME.search(read_input(file, ModelError)):
             return found[1]
     return None
 

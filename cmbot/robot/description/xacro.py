@@ -29,7 +29,7 @@ _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 # Of what xacro says; of a path that is longer the end is kept.
 _MAX_CAUSE_CHARACTERS = 100
 _ELEMENT = re.compile(rb"<xacro:\w")
-_ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
+ROBOT_NAME = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'$]+)[\"']")
 _PACKAGE_NAME = re.compile(r"\w[\w.\-]*")
 # What else a process says may be of files.
 _LACKING_PACKAGE = re.compile(r"^ModuleNotFoundError: (No module named '[\w.]+')", re.M)
@@ -99,7 +99,7 @@ def _answered(
     path: Path, content: bytes, package_dirs: Sequence[Path], arguments: Mapping[str, str]
 ) -> dict[str, Any]:
     """The last answer of a process that expands a file; empty where it ended without one."""
-    name, folder = _ROBOT_NAME.search(content), path.resolve().parent
+    name, folder = ROBOT_NAME.search(content), path.resolve().parent
     task = {
         "path": str(path.resolve()),
         "name": name[1].decode(errors="replace") if name else path.name.partition(".")[0],
