@@ -52,6 +52,7 @@ from cmbot.robot.kinematics import (
     PostureBatch as PostureBatch,
     Postures as Postures,
     ToolBatch as ToolBatch,
+    frame_about as frame_about,
     link_poses as link_poses,
 )
 from cmbot.robot.limits import ASSUMPTIONS as ASSUMPTIONS, JointLimits as JointLimits

@@ -47,7 +47,7 @@ class Chain:
         self._slides = prismatic_joints(model).tolist()
         for i, fixed in enumerate(vectors, start=1):
             column = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[:, i - 1]
-            own = _frame_about(column[:3] if self._slides[i - 1] else column[3:])
+            own = frame_about(column[:3] if self._slides[i - 1] else column[3:])
             X = model.jointPlacements[i]
             step = np.column_stack([X.translation, X.rotation @ own])
             self.steps.append((step.T @ before, fixed @ own))
@@ -87,8 +87,8 @@ class Chain:
             yield origin, axis, (fixed @ axes).reshape(-1, 3, N) if len(fixed) else moved[:0]
 
 
-def _frame_about(axis: FloatArray) -> FloatArray:
-    """Rotation (3, 3) whose third column is the unit vector `axis` (3,)."""
+def frame_about(axis: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) whose third column is the unit vector `axis` (3,)."""
     k = np.abs(axis).argmin()
     x = np.eye(3)[k] - axis[k] * axis
     x /= np.sqrt(x @ x)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import Batch, BoolArray, FloatArray, IntArray, cross
+from cmbot.robot import frame_about
 
 # Added to intervals of angles, rad.
 _ANGLE_ROUNDING = 1e-9
@@ -128,11 +129,3 @@ def inverses(A: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 def _determinants(A: FloatArray) -> FloatArray:
     return np.asarray((cross(A[:, :, 0], A[:, :, 1]) * A[:, :, 2]).sum(axis=1))
-
-
-def frame_about(axis: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) whose third column is the unit vector `axis` (3,)."""
-    x = np.eye(3)[np.abs(axis).argmin()]
-    x = x - (axis @ x) * axis
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, cross(axis, x), axis])

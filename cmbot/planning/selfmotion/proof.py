@@ -22,7 +22,6 @@ from cmbot.planning.selfmotion.joint_boxes import (
     JointBoxes,
     azimuth_between,
     common_moves,
-    frame_about,
     inverses,
     narrowed,
     without_pivot,
@@ -30,7 +29,7 @@ from cmbot.planning.selfmotion.joint_boxes import (
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
 from cmbot.planning.workcell.objectives import WeightedMoment, WrenchObjective
 from cmbot.planning.workcell.workcell import Workcell
-from cmbot.robot import PostureBatch, Postures, ToolBatch
+from cmbot.robot import PostureBatch, Postures, ToolBatch, frame_about
 
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
 _CONDITION_ROUNDING = 1e-9
