@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.planning.request import StrokeRequest
@@ -142,11 +143,8 @@ def wrist_chain(request: StrokeRequest) -> WristChain | None:
 
 
 def turns(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Rotations (N, 3, 3) about a unit vector `axis` (3,) by angles (N,), rad (Rodrigues)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + sine * K + (1 - cosine) * (K @ K))
+    """Return rotations (N, 3, 3) about a unit vector `axis` (3,) by angles (N,), rad."""
+    return np.asarray(Rotation.from_rotvec(angle[:, None] * axis).as_matrix())
 
 
 def _meeting_point(axis: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
