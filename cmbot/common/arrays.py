@@ -39,6 +39,12 @@ def read_only(array: _Array) -> _Array:
     return array
 
 
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return the first and last indices of the stretches in which all of `flags` (N,) are set."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.intp), prepend=0, append=0))
+    return [(first, behind - 1) for first, behind in edges.reshape(-1, 2).tolist()]
+
+
 def interpolated(at: FloatArray, t: FloatArray, rows: FloatArray) -> FloatArray:
     """Return rows (N, d) of the times `t` (N,) as they are `at` others (M,): linear in between, (M, d)."""
     return np.stack([np.interp(at, t, column) for column in rows.T], axis=1)

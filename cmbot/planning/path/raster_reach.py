@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, runs
 from cmbot.planning.budget import Deadline
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.postures.sampler import PostureSampler
@@ -216,7 +216,7 @@ class _Follower:
             own = np.flatnonzero(leg == 2 * k)
             pieces = (
                 self._piece(piece, k, share[own[first]], share[own[last]])
-                for first, last in _runs(reached[own])
+                for first, last in runs(reached[own])
             )
             rows.append(sorted((one.begin_m, one.end_m) for one in pieces if one is not None))
         return [tuple(replace(one, row=cell[one.row].row) for one in found) for found in cells_of(rows)]
@@ -256,10 +256,3 @@ class _Follower:
 
 def _one(piece: RowPiece | None) -> Sequence[RowPiece]:
     return () if piece is None else (piece,)
-
-
-def _runs(reached: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and last indices of what is reached without a gap."""
-    edges = np.diff(np.concatenate([[0], reached.astype(np.intp), [0]]))
-    first, behind = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    yield from zip(first.tolist(), (behind - 1).tolist(), strict=True)

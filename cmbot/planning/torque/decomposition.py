@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, runs
 from cmbot.common.errors import OptimisationFailed
 from cmbot.common.limit import Limit
 from cmbot.optimization import (
@@ -268,8 +268,7 @@ def _broken_segments(trajectory: QuinticTrajectory, bounds: Sequence[KinematicBo
 def _stretches(broken: BoolArray) -> list[tuple[int, int]]:
     """First and last segments of stretches around the `broken` ones (m,), which do not touch each other."""
     near = np.convolve(broken, np.ones(2 * _NEIGHBOURS + 1))[_NEIGHBOURS : _NEIGHBOURS + len(broken)] > 0
-    edges = np.flatnonzero(np.diff(near.astype(int), prepend=0, append=0))
-    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+    return runs(near)
 
 
 def _least_share(
