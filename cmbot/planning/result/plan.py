@@ -33,7 +33,7 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.job import APPROACH, BaselineSegment, Job, Segment
+from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
@@ -268,12 +268,13 @@ class Plan(StrokePlan):
         arm, baseline = bending_arm(self.scene, self.robot), self.baseline
         if arm is None or baseline is None:
             return None
-        share, motions = self.options.quiet_stiffness_share, map(_through, baseline.strokes)
+        share, each = self.options.quiet_stiffness_share, (segment.samples for segment in baseline.strokes)
+        motions = (QuinticTrajectory.through(samples.t, samples.q) for samples in each)
         try:
-            each = [stroke_sway(arm, motion, share, _BASELINE_STEPS).largest for motion in motions]
+            found = [stroke_sway(arm, motion, share, _BASELINE_STEPS).largest for motion in motions]
         except TooSoftError:
             return None
-        return max(sway for sway, _ in each), max(swing for _, swing in each)
+        return max(sway for sway, _ in found), max(swing for _, swing in found)
 
     @property
     def approach_samples(self) -> Samples | None:
@@ -554,13 +555,3 @@ def work_of(robot: Robot, trajectory: QuinticTrajectory, path: WorkPath) -> Work
         commanded=lambda t: tool(t)[0],
         rotation=lambda t: tool(t)[1],
     )
-
-
-def _through(segment: BaselineSegment) -> QuinticTrajectory:
-    """The clamped cubic spline through positions; the paper's rates are means over Euler's steps."""
-    # It is slow to import.
-    from scipy.interpolate import CubicSpline
-
-    t, q = segment.samples.t, segment.samples.q
-    curve = CubicSpline(t, q, bc_type="clamped")
-    return QuinticTrajectory(t=t, q=q, v=curve(t, 1), a=curve(t, 2))
