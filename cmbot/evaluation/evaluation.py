@@ -131,17 +131,15 @@ class Evaluation:
     def samples(self) -> tuple[Samples, tuple[str, ...]]:
         """The motion every 0.01 s on its clock, and the name of each sample's segment."""
         clearances = Clearances(self.robot, self.scene.all_obstacles)
-        each = list[tuple[float, Samples, bool]]()
+        each = list[tuple[str, float, Samples, bool]]()
         for segment in self.job.segments:
             robot = self.robot if segment.kind == "stroke" else self.robot.tool_off
             distances = segment.distances(clearances, self.options.safety_margin_m)
             t = np.linspace(0.0, segment.duration, int(np.ceil(segment.duration / _TABLE_STEP_S)) + 1)
             motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
             held = segment.task.held_at_start()
-            each.append((segment.begin, measure(robot, held, distances, t, motion), False))
-        samples, counts = joined_samples(each)
-        names = np.repeat([segment.name for segment in self.job.segments], counts)
-        return samples, tuple(names.tolist())
+            each.append((segment.name, segment.begin, measure(robot, held, distances, t, motion), False))
+        return joined_samples(each)
 
     def rows(self) -> Iterator[tuple[str, str, str]]:
         """Yield the figures, each as its name and unit, the motion's value and the planned one."""

@@ -112,7 +112,7 @@ def _joined(segments: Sequence[BaselineSegment], each: Sequence[StrokeBaseline])
     if len(each) > 1:
         begin = work[0].begin
         samples, _ = joined_samples(
-            (segment.begin - begin, segment.samples, segment.kind == "stroke") for segment in work
+            (part.name, part.begin - begin, part.samples, part.kind == "stroke") for part in work
         )
         figures_of_strokes = job_metrics([part for part in work if part.kind == "stroke"], begin)
     return Baseline(
@@ -124,27 +124,27 @@ def _joined(segments: Sequence[BaselineSegment], each: Sequence[StrokeBaseline])
     )
 
 
-def joined_samples(each: Iterable[tuple[float, Samples, bool]]) -> tuple[Samples, list[int]]:
-    """Return samples that follow on each other as one, and how many of each are left.
+def joined_samples(each: Iterable[tuple[str, float, Samples, bool]]) -> tuple[Samples, tuple[str, ...]]:
+    """Return samples that follow on each other as one, and of which each of them is, by their names.
 
     Parameters
     ----------
-    each : iterable of (float, Samples, bool)
-        When each begins on the common clock, s, and whether it keeps its samples at both ends: of two that
-        share a join, the one that keeps its own has it there, else the one that ends there.
+    each : iterable of (str, float, Samples, bool)
+        Their name, when each begins on the common clock, s, and whether it keeps its samples at both ends: of
+        two that share a join, the one that keeps its own has it there, else the one that ends there.
     """
     parts = list(each)
     kept = list[slice]()
-    for k, (_, samples, keeps) in enumerate(parts):
-        yields_first = k > 0 and (not keeps or parts[k - 1][2])
-        yields_last = k + 1 < len(parts) and not keeps and parts[k + 1][2]
+    for k, (_, _, samples, keeps) in enumerate(parts):
+        yields_first = k > 0 and (not keeps or parts[k - 1][3])
+        yields_last = k + 1 < len(parts) and not keeps and parts[k + 1][3]
         kept.append(slice(int(yields_first), len(samples.t) - int(yields_last)))
     joined: dict[str, FloatArray | None] = {}
     for field in fields(Samples):
-        arrays = [getattr(samples, field.name) for _, samples, _ in parts]
+        arrays = [getattr(samples, field.name) for _, _, samples, _ in parts]
         if field.name == "t":
-            arrays = [begin + samples.t for begin, samples, _ in parts]
+            arrays = [begin + samples.t for _, begin, samples, _ in parts]
         known = [array[part] for array, part in zip(arrays, kept, strict=True) if array is not None]
         joined[field.name] = np.concatenate(known) if len(known) == len(parts) else None
-    counts = [part.stop - part.start for part in kept]
-    return Samples(**joined), counts  # type: ignore[arg-type]
+    names = np.repeat([name for name, *_ in parts], [part.stop - part.start for part in kept])
+    return Samples(**joined), tuple(names.tolist())  # type: ignore[arg-type]

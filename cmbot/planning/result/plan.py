@@ -288,18 +288,16 @@ class Plan(StrokePlan):
         A join belongs to the segment that ends there. Where sag is compensated the tool is expected with its
         predicted sag in the free moves, too.
         """
-        samples, counts = joined_samples(self._on_the_clock(segment) for segment in self.job.segments)
-        names = np.repeat([segment.name for segment in self.job.segments], counts)
-        return samples, tuple(names.tolist())
+        return joined_samples(self._on_the_clock(segment) for segment in self.job.segments)
 
-    def _on_the_clock(self, segment: Segment) -> tuple[float, Samples, bool]:
+    def _on_the_clock(self, segment: Segment) -> tuple[str, float, Samples, bool]:
         samples = self.segment_samples[segment.name]
         expected = samples.expected_tool_point
         if self.sag is not None and expected is None:
             # The tool is off: no process force bends the arm.
             sag = sag_of(self.scene, bending_arm(self.scene, self.robot.tool_off), self.options) or self.sag
             expected = samples.tool_point + sag.along(samples.t, samples.q)
-        return segment.begin, replace(samples, expected_tool_point=expected), False
+        return segment.name, segment.begin, replace(samples, expected_tool_point=expected), False
 
     @cached_property
     def segment_samples(self) -> dict[str, Samples]:
