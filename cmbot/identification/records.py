@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, interpolated
 from cmbot.common.errors import InputError
 from cmbot.common.reading.text_table import read_table
 from cmbot.common.reading.validation import counted
@@ -138,7 +138,7 @@ def read_record(path: Path) -> RingDown:
         got = f"{1 / step:.3g} samples a second, in which fast modes look like slow ones"
         raise UnusableRecord(str(path), "", got, f"at least {2 * _HIGHEST:g}, better 200")
     even = np.linspace(t[0], t[-1], len(t))
-    each = np.stack([np.interp(even, t, axis) for axis in a.T], axis=1)
+    each = interpolated(even, t, a)
     with threadpool_limits(limits=1, user_api="blas"):
         found = ring_down(float((t[-1] - t[0]) / (len(t) - 1)), each)
     if not len(found.frequencies):

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, interpolated
 from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
 from cmbot.planning.budget import MORE_TIME
@@ -274,7 +274,7 @@ def _timed(
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
     u = np.linspace(0.0, 1.0, knots)
     share = SpeedProfile(kind="quiet", ramp=0.5).law.share(u)
-    q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
+    q = interpolated(share * along[-1], along, path)
     space = SplineSpace(u)
     trial = space.trajectory(space.least_jerk(q))
     limits = request.cell.robot.limits

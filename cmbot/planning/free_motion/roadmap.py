@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray, interpolated
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.robot import PostureMetric
@@ -80,7 +80,7 @@ def _about(path: FloatArray, rng: np.random.Generator, metric: PostureMetric) ->
     """Random postures about a broken line (k, n)."""
     along = np.concatenate([[0.0], np.cumsum(metric.lengths(np.diff(path, axis=0)))])
     at = rng.uniform(0.0, along[-1], _POSTURES_PER_ROUND // 2)
-    middle = np.stack([np.interp(at, along, joint) for joint in path.T], axis=1)
+    middle = interpolated(at, along, path)
     offsets = rng.normal(0.0, rng.choice(_SPREAD, (len(at), 1)), middle.shape)
     return middle + metric.positions(offsets)
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg.lapack import dgesdd
 
 from cmbot.collision import Clearances, Nearest
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.postures.projection import null_space, project_onto_task
 from cmbot.planning.request import StrokeRequest
@@ -70,7 +70,7 @@ class JointPath:
 
     def at(self, times: FloatArray) -> FloatArray:
         """Return the postures (k, n) at `times` (k,), s, straight between those that are known."""
-        return np.stack([np.interp(times, self.t, joint) for joint in self.q.T], axis=1)
+        return interpolated(times, self.t, self.q)
 
     def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return position, velocity, acceleration and jerk (N, n), with rest before and after the path."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, interpolated
 from cmbot.common.errors import SceneError, optional_module
 from cmbot.common.reading.validation import counted
 from cmbot.toolpath.raster.raster import MOST_ROWS, FaceSelection, Interval, Raster, RowPiece, united
@@ -318,7 +318,7 @@ def _section(
         raise refusal("faces", got, "faces that are connected along the rows: a box around some")
     x, height = ends[:, :, 0].ravel(), ends[:, :, 2].ravel()
     surface = np.stack([nodes, np.full(len(nodes), place), np.interp(nodes, x, height)], axis=1)
-    smooth = np.stack([np.interp(nodes, x, component) for component in normals.reshape(-1, 3).T], axis=1)
+    smooth = interpolated(nodes, x, normals.reshape(-1, 3))
     return surface, smooth / np.linalg.norm(smooth, axis=1, keepdims=True)
 
 
