@@ -74,7 +74,7 @@ def test_by_hand_at_rest(held: Plan) -> None:
     model, contact = held.robot.model, held.robot.feet[0].centre
     at = Postures(held.robot).at(q)
     push = at.tool_rotation[0] @ [0, 0, -100.0]
-    masses = [*zip(at.centre[0], at.mass, strict=True)]
+    masses = [*zip(at.centre[0], at.arm.mass, strict=True)]
     masses.append((model.inertias[0].lever, model.inertias[0].mass))
     force = push + sum(mass for _, mass in masses) * np.array([0, 0, -9.81])
     moment = np.cross(at.tool_point[0] - contact, push)
