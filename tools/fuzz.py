@@ -1,7 +1,7 @@
 """Fuzz campaign: random mutants of all files that cmbot reads, and of command lines.
 
 Each is read as cmbot reads it. It has to be accepted, or refused by one of cmbot's errors in one line of at
-most 400 characters. Anything else is a finding: another exception, a crash, a hang, a warning, a figure that
+most 600 characters. Anything else is a finding: another exception, a crash, a hang, a warning, a figure that
 is not finite. Findings are reduced, and saved with what reproduces them.
 
     python tools/fuzz.py --count 100000 --seed 7

@@ -27,8 +27,8 @@ from typing import Any
 from cmbot.common.installation import install_command
 from cmbot.common.limit import Limit
 
-LONGEST_MESSAGE = 390
-"""Characters of an error's message; with ``error: `` before it, a line has at most 400."""
+LONGEST_MESSAGE = 590
+"""Characters of an error's message; with ``error: `` before it, a line has at most 600."""
 
 FAR_BEYOND = 10.0
 """A violation, as a share of the bound, beyond which its size says nothing."""

@@ -87,15 +87,17 @@ def require_posture(request: StrokeRequest, *, is_clear: bool) -> None:
     there = replace(request, times=np.array([miss.time]))
     proven = not miss.missed.is_held and bool(out_of_reach(there, 0))
     failure = PathNotFound(
-        "; ".join(filter(None, (f"{miss.key} is {miss.reason(proven=proven)}", miss.remedy()))),
+        f"{miss.key} is {miss.reason(proven=proven)}",
         time=miss.first_time,
         progress=request.task.path.progress(miss.first_time),
         smallest_singular_value=0.0,
         pair=miss.pair,
         key=miss.key,
     )
-    if len(request.strokes) > 1:
-        failure.add_hint(f"this is stroke {request.stroke.name}")
+    of = f"this is stroke {request.stroke.name}" if len(request.strokes) > 1 else ""
+    # Hints are the last to be shortened.
+    for hint in filter(None, (of, miss.remedy())):
+        failure.add_hint(hint)
     raise failure
 
 

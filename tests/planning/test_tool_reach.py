@@ -268,7 +268,7 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_out_of_reach
         plan(scene, progress=False)
     assert "seconds" not in str(caught.value)
     # It is tried what less to keep would do, and told what does.
-    moved, kept = caught.value.reason.rpartition("; ")[2].split(", or ")
+    moved, kept = caught.value.hints[0].split(", or ")
     assert kept == "with tool_path.keep position, by which the tool may turn, every place has a posture"
     by = np.array(
         re.fullmatch(r"moved by \((.*)\) m the path is within reach, .*", moved)[1].split(","), float

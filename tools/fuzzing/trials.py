@@ -32,7 +32,7 @@ LIMIT = 5.0
 """Processor time in seconds that a mutant may take, unless it is planned or simulated."""
 _LONG_LIMIT = 90.0
 _LONG_VERBS = ("plan", "simulate", "identify", "new")
-LONGEST_MESSAGE = 400
+LONGEST_MESSAGE = 600
 
 _NO_NUMBER = re.compile(r"(?<![\w.\-/'])[-+]?(nan|inf)(?![\w.\-/'])")
 # A clearance is infinite where there is nothing to hit, a range where a joint is endless.
