@@ -222,9 +222,9 @@ def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None
     try:
         cmbot.stances.require_planned(rankings)
     except PlanningError as error:
-        one = rankings[0]
+        one, first = rankings[0], one_line(directory / "stance_1.yaml")
         if len(rankings) == 1 and one.closest_in_time and next(iter(one.waiting)).bound:
-            error.add_hint(f"cmbot plan {one_line(directory / 'stance_1.yaml')} judges the first")
+            error.add_hint(f"cmbot plan {first} --set time_limit_s=600 judges the first")
         error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
         error.add_hint("cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
         raise

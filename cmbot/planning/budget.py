@@ -96,7 +96,7 @@ class Deadline:
         while whole._whole is not None:
             whole = whole._whole
         part = f", of which {self._name} had {self.limit:.3g} s" if self._name else ""
-        return f"the time, {whole.limit:g} s (planner.time_limit_s){part}"
+        return f"the time, {whole.limit:g} s (raise planner.time_limit_s for more){part}"
 
     @property
     def over_in_words(self) -> str:

@@ -57,6 +57,8 @@ _NO_BETTER = PROVEN_SHARE - 1e-3
 _MAX_REASONS_NAMED = 3
 # Metres between places of two feet where that was not asked for: the first with no more stances.
 _PAIR_SPACINGS, _MOST_STANCES = (0.15, 0.2, 0.3), 2000
+# By how many times a stance's plan may take longer by `plan`.
+_PROVEN_TIME = 3.0
 _Group = frozenset[int]
 
 
@@ -172,7 +174,7 @@ class StanceRanking(ShortRepr):
             return f"{late}; by their bounds (estimates) none of them is better than the best one"
         return (
             f"{late}; first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
-            "--time-limit or planner.time_limit_s, or cmbot plan of its scene, judges it"
+            "--time-limit with planner.time_limit_s as long, or cmbot plan of its scene, judges it"
         )
 
     @property
@@ -540,7 +542,10 @@ def best_scene(ranking: StanceRanking, rank: int = 1) -> Scene:
     if not np.isfinite(ranked.bound):
         raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {ranking.reasons_in_words}")
     if ranked.plan is not None:
-        return ranked.plan.scene
+        # A plan that is not one of many proves its bound, too.
+        made, needs = ranked.plan, ceil(_PROVEN_TIME * ranked.plan.seconds.total)
+        most = max(made.scene.planner.time_limit_s, needs)
+        return made.scene.with_options(time_limit_s=float(most))
     return scene_at(ranking.scene if ranked.own else put_away(ranking.scene), ranked.candidate, None)
 
 

@@ -115,7 +115,8 @@ def test_where_nothing_is_planned_the_status_is_3_and_the_table_says_why(job: Pa
     assert outcome.status == 3
     error = one_line(outcome)
     assert re.search(r"short.yaml: no stance of \d+ was planned, most often for: ", error)
-    assert error.endswith(f"{out / 'stances.csv'} has the reason of each")
+    assert f"; {out / 'stances.csv'} has the reason of each; " in error
+    assert error.endswith("; cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
     assert error.count("(") >= 3
     assert named(out) == FILES - {"best.yaml"}
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
@@ -132,7 +133,7 @@ def test_time_that_is_over_at_once(job: Path) -> None:
         r"planned; the time was over \(--time-limit\): not judged to the end for want of time: (\d+), \1 of "
     )
     assert re.search(f"{said}them only screened; ", outcome.err)
-    assert "cmbot plan" not in outcome.err
+    assert "judges the first" not in outcome.err
 
 
 def test_where_the_time_is_over_the_error_has_the_next_command(
@@ -148,7 +149,7 @@ def test_where_the_time_is_over_the_error_has_the_next_command(
     rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
     waiting = sum(row["status"] == "screened" for row in rows)
     assert f"for want of time: {waiting}, {waiting} of them only screened; first " in outcome.err
-    assert f"cmbot plan {out / 'stance_1.yaml'} judges the first" in outcome.err
+    assert f"cmbot plan {out / 'stance_1.yaml'} --set time_limit_s=600 judges the first" in outcome.err
     assert cmbot.load_scene(out / "stance_1.yaml").robot == cmbot.load_scene(job).robot
 
 

@@ -79,6 +79,8 @@ def test_the_best_mount_is_planned_there(ranking: StanceRanking) -> None:
     best, (own,) = ranking.best, ranking.own
     assert best.value <= own.value
     scene = best_scene(ranking)
+    # A plan that proves its bound has the time for it.
+    assert scene.planner.time_limit_s > 2 * best.plan.seconds.total
     again = plan(scene)
     assert again.objective.planned_peak == pytest.approx(best.value, rel=1e-6)
     frame = again.robot.model.getFrameId("panda_link0")

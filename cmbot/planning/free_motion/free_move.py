@@ -230,7 +230,7 @@ def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> Pa
     elif len(blocked) and (pair := most_often_near(request.cell, blocked)):
         way = f" (straight there {pair[0]} and {pair[1]} come too near)"
     stopped = request.deadline.expired()
-    over = ", the time was over" if stopped else ""
+    over = f" before {request.deadline.in_words}, was over" if stopped else ""
     reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}"
     return request.path_not_found(reason, move.start, pair=pair, stopped=stopped)
 

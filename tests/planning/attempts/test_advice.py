@@ -173,8 +173,9 @@ def test_a_time_that_was_over_is_told_with_the_limit_and_what_was_used(asked: St
         said.append(timed.deadline.over_in_words)
     work = asked.stroke.name
     assert said == [
-        "the time, 60 s (planner.time_limit_s), was over after 61.2 s,",
-        f"the time, 60 s (planner.time_limit_s), of which {work} had 20 s, was over after 21 s,",
+        "the time, 60 s (raise planner.time_limit_s for more), was over after 61.2 s,",
+        f"the time, 60 s (raise planner.time_limit_s for more), of which {work} had 20 s, "
+        "was over after 21 s,",
     ]
 
 

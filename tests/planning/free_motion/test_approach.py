@@ -132,7 +132,7 @@ def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None
     asked = replace(request_of(triangle_plan.scene), deadline=over)
     assert over.expired(0.9)
     assert not over.expired(1.5)
-    expected = r"was found \(straight there \S+ and \S+ come too near\), the time was over$"
+    expected = r"was found \(straight there \S+ and \S+ come too near\) before the time, 1 s .*, was over$"
     with pytest.raises(PathNotFound, match=expected) as caught:
         plan_approach(asked, triangle_plan.start.posture, asked.state.posture[None])
     assert caught.value.pair is not None
