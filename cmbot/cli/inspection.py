@@ -15,7 +15,7 @@ from cmbot.cli.command import Command, Reporting, Writing, argument, option, req
 from cmbot.cli.completion import complete_scene
 from cmbot.cli.console import ExitStatus, out, print_lines, print_pairs, print_table
 from cmbot.cli.creation import PACKAGE_DIR_HELP, named_values, require_folders
-from cmbot.cli.planning import loaded_scene
+from cmbot.cli.planning import finding_in_words, loaded_scene
 from cmbot.common.errors import InputError, MissingExtra, SceneError, one_line
 from cmbot.common.installation import install_command, model_folder, scene_folder, shipped_scenes
 from cmbot.common.reading.input_files import is_file
@@ -72,9 +72,6 @@ class CheckCommand(Reporting):
     )
 
     def __call__(self) -> int:
-        # It loads NumPy.
-        from cmbot.common.reading.yaml_reader import name_line
-
         file, is_urdf = self.file, _is_robot(self.file)
         if self.changes and is_urdf:
             raise InputError("--set", "", "a URDF to check", "a scene to check")
@@ -94,10 +91,7 @@ class CheckCommand(Reporting):
             found["SRDF written"] = _write_srdf(file, self.write_srdf, foreign)
         for finding, number in () if self.json else _counted(findings):
             if finding.severity == "error" or not self.quiet:
-                # As long as an error's message at most.
-                message = InputError(file, finding.key, finding.got, finding.expected)
-                name_line(message, file)
-                out.print(f"{finding.severity}: {message}{f' ({number} times)' if number > 1 else ''}")
+                out.print(f"{finding_in_words(file, finding)}{f' ({number} times)' if number > 1 else ''}")
 
         def data() -> dict[str, object]:
             kind, told = "urdf" if is_urdf else "scene", [asdict(finding) for finding in findings]

@@ -80,7 +80,7 @@ class PlanCommand(Writing):
             require_plots(self.figures)
             of_units, of_options = cmbot.planning.unit_findings, cmbot.planning.precheck_options
             for finding in () if self.quiet else (*of_units(loaded), *of_options(options, loaded.tool)):
-                err.print(one_line(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
+                err.print(finding_in_words(self.scene, finding))
 
         def planned_scene(progress: ConsoleProgress) -> cmbot.Plan:
             return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
@@ -144,6 +144,16 @@ class EvaluateCommand(Writing):
                 out.print(f"Written to {one_line(self.output)}.")
 
         self.answer(lambda: answer, say, self.output)
+
+
+def finding_in_words(file: str, finding: cmbot.robot.Finding) -> str:
+    """Return a finding in a line, as long as an error's message at most, with the line of its key."""
+    # It loads NumPy.
+    from cmbot.common.reading.yaml_reader import name_line
+
+    message = InputError(file, finding.key, finding.got, finding.expected)
+    name_line(message, file)
+    return f"{finding.severity}: {message}"
 
 
 def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot.PlannerOptions]:

@@ -370,14 +370,19 @@ def failures_explained(scene: Scene) -> Iterator[None]:
             for warning in _warnings(_hold_at_start(scene, robot)):
                 # What does not even hold at rest comes first.
                 error.add_source(f"the start asks {warning.got}")
-                line = line_of(Path(scene.source), warning.key)
-                error.add_source(f"line {line}: {warning.key}" if line else warning.key)
+                error.add_source(_with_line(scene, warning.key))
             for warning in _warnings(_sag_at_start(scene, robot)):
-                error.add_hint(f"{warning.key} has {warning.got}")
+                error.add_hint(f"{_with_line(scene, warning.key)} has {warning.got}")
         if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
             for key, looks, units in mistaken_units(scene):
-                error.add_hint(f"{key} looks like {looks}, it is in {units}")
+                error.add_hint(f"{_with_line(scene, key)} looks like {looks}, it is in {units}")
         raise
+
+
+def _with_line(scene: Scene, key: str) -> str:
+    """A key, with its line before it where the scene's file has it."""
+    line = line_of(Path(scene.source), key)
+    return f"line {line}: {key}" if line else key
 
 
 def require_sound_path(scene: Scene, stroke: Stroke) -> None:

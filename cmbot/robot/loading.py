@@ -54,6 +54,7 @@ _MIN_ARM_MASS_KG = 1e-3
 # Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
 # that also extend further than so many metres. What is smaller than the last, m, is none of these.
 _LARGEST_SHAPE, _LARGEST_FIXED, _SMALL_M = 4.0, 20.0, 2.0
+_LONGEST_LINK_M = 100.0
 # One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
 # industrial arms have a sixth of that.
 _MAX_DENSITY_KG_M3 = 1000.0
@@ -176,7 +177,14 @@ def load_robot(
 
 
 def _require_size(robot: Robot) -> None:
-    """Refuse meshes that are far larger than the arm, as those are whose numbers are millimetres."""
+    """Refuse links, and meshes far larger than the arm, whose numbers are millimetres most likely."""
+    for number, X in list(enumerate(robot.model.jointPlacements))[2:]:
+        if (length := float(np.linalg.norm(X.translation))) > _LONGEST_LINK_M:
+            key, got = (
+                f"joint[{robot.model.names[number]}].origin",
+                f"{length:.4g} m from the joint before it",
+            )
+            raise ModelError(str(robot.urdf), key, got, "metres (millimetres?)")
     farthest = max(_LARGEST_SHAPE * robot.reach, _SMALL_M)
     for shape in robot.collision_model.geometryObjects:
         # What stands still, such as a floor, may be large.

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 from cmbot.common.reading.validation import resolved
@@ -48,6 +52,19 @@ def is_within(key: str, values: Iterable[str]) -> bool:
 def whole_key(name: str, data: Mapping[str, Any]) -> str | None:
     """Return the key that ends in `name`, ``robot.payload_kg``: of this content, else of any scene."""
     return _content_key(name, data, "") or _schema_key(name)
+
+
+def numbers_in(node: Any, key: str = "") -> Iterator[tuple[str, FloatArray]]:
+    """Yield the keys of all numbers of a scene file's content, or a part of it, and the numbers."""
+    if isinstance(node, dict):
+        for step, value in node.items():
+            yield from numbers_in(value, f"{key}.{step}".removeprefix("."))
+    elif isinstance(node, list) and node and isinstance(node[0], dict):
+        for k, value in enumerate(node):
+            yield from numbers_in(value, f"{key}[{k}]")
+    elif isinstance(node, list | float) and np.size(node):
+        with suppress(ValueError):  # of words
+            yield key, np.array(node, float)
 
 
 def _content_key(name: str, node: Any, prefix: str) -> str | None:

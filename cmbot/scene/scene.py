@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import fields, replace
 from hashlib import sha256
@@ -33,7 +33,7 @@ from cmbot.scene.base.hold import HoldFile
 from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.base.mounts import MountsFile
 from cmbot.scene.base.stance import FootholdFile, Stance, StanceFile, resolved_stance, swept_foot
-from cmbot.scene.changes import changed_content
+from cmbot.scene.changes import changed_content, numbers_in
 from cmbot.scene.excitation import DamperFile, ExcitationFile
 from cmbot.scene.files import file_hashes, with_paths
 from cmbot.scene.obstacles import ObstacleFile, obstacle_from_file
@@ -279,6 +279,11 @@ class Scene(FileModel):
     def as_data(self) -> dict[str, Any]:
         """Return the content of its file, every default filled in, as `cmbot.load_scene` takes it back."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
+
+    @property
+    def numbers(self) -> Iterator[tuple[str, FloatArray]]:
+        """All numbers of its file by the keys of the numbers, or of the lists of them."""
+        return numbers_in(self.as_data())
 
     @property
     def content_hash(self) -> str:

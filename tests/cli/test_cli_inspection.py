@@ -113,7 +113,7 @@ def test_an_objective_that_gravity_has_no_part_in_is_warned_of(
     path = write_scene(tmp_path / "short.yaml", SHORT)
     words = ("plan", path, "-o", tmp_path / "out", "--set", f"axis_weights={weights}")
     *warnings, last = run(*words).err.splitlines()
-    start = f"warning: planner.axis_weights: got {weights}: gravity has no torque about z"
+    start = f"warning: {path}:1: planner.axis_weights: got {weights}: gravity has no torque about z"
     assert [warning.startswith(start) for warning in warnings] == [True] * warned
     assert last.endswith("short.yaml: far enough")
     assert run(*words, "--quiet").err.endswith("short.yaml: far enough\n")

@@ -88,7 +88,7 @@ def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
         first == f"warning: {path}:1: start.posture_deg: got numbers that look like radians, expected degrees"
     )
     assert others[0].startswith("error: ")
-    with pytest.raises(cmbot.PlanningError, match=r"; start.posture_deg looks like radians, it is in d"):
+    with pytest.raises(cmbot.PlanningError, match=r"; line 1: start.posture_deg looks like radians, it is"):
         cmbot.plan(cmbot.load_scene(path))
 
 
@@ -111,7 +111,7 @@ def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
     scene = SHORT | {"start": {"posture": SHORT["start"]["posture_deg"]}}
     line = refusal("check", write_scene(tmp_path / "degrees.yaml", scene))
     assert ": start.posture[0]: got " in line
-    assert line.endswith("; start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")
+    assert line.endswith(": start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")
 
 
 def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> 
     told = f"{clamped}:1: guardrail.hold.force_n: got numbers that look like kN, expected N\n"
     assert told in run("check", clamped).out
     with pytest.raises(
-        cmbot.PlanningError, match=r"; guardrail.hold.adhesion_n looks like kN, it is in N"
+        cmbot.PlanningError, match=r"; line 1: guardrail.hold.adhesion_n looks like kN, it is in N"
     ) as e:
         cmbot.plan(cmbot.load_scene(path))
     assert re.search(
@@ -170,11 +170,11 @@ def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:
     near = write_scene(tmp_path / "near.yaml", {**SHORT, "obstacles": [box]})
     first = run("check", near).out.splitlines()[0]
     assert first == (
-        f"warning: {near}: obstacle table: got numbers that look like millimetres, expected metres "
+        f"warning: {near}:1: obstacles[0]: got numbers that look like millimetres, expected metres "
         "(scale: 1 says that they are)"
     )
     with pytest.raises(
-        cmbot.PlanningError, match=r"; obstacle table looks like millimetres, it is in metres \(scale: 1 "
+        cmbot.PlanningError, match=r"; line 1: obstacles\[0\] looks like millimetres, it is in metres \(scale"
     ):
         cmbot.plan(cmbot.load_scene(near))
     floor = {"name": "floor", "box": [100, 100, 1], "xyz": [0, 0, -9]}

@@ -254,6 +254,10 @@ def test_meshes_that_are_too_large_or_none(tmp_path: Path) -> None:
     replace(file, '<box size="0.26 0.1 0.1"/>', '<box size="0.26 10 0.1"/>')
     with pytest.raises(ModelError, match=r"link\[link_4\].collision: got a shape that extends to 5 m"):
         load_robot(file)
+    replace(file, '<origin xyz="0 0 0.42" rpy="0 0 0"/>', '<origin xyz="0 0 420" rpy="0 0 0"/>')
+    with pytest.raises(ModelError, match=r"joint\[joint_3\].origin: got 420 m .*, expected metres \(milli"):
+        load_robot(file)
+    replace(file, '<origin xyz="0 0 420" rpy="0 0 0"/>', '<origin xyz="0 0 0.42" rpy="0 0 0"/>')
     (tmp_path / "part.stl").write_text("version https://git-lfs.github.com/spec/v1\n", encoding="utf-8")
     replace(file, '<box size="0.26 10 0.1"/>', '<mesh filename="part.stl"/>')
     with pytest.raises(

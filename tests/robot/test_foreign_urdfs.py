@@ -526,6 +526,9 @@ def test_limits_of_ours_take_the_place_of_the_urdfs(tmp_path: Path) -> None:
     robot = limited(tmp_path, "joints: {joint_1: {velocity_deg: 180, effort: 20}}")
     np.testing.assert_allclose(robot.limits.velocity, [np.pi, 1.5, 1.5])
     np.testing.assert_allclose(robot.limits.torque, [20, 9, 9])
+    for velocity, number in ((2, 1), (20, 0)):
+        slow = limited(tmp_path, f"all: {{velocity_deg: {velocity}}}").remarks
+        assert sum("look like rad/s" in remark for remark in slow) == number
     with pytest.raises(
         ModelError, match=r"joints.joint_1.velocity_m_s: got that key, expected velocity_deg: this"
     ):

@@ -1,8 +1,9 @@
-"""Units that may have been mistaken: degrees and radians of start and lean, millimetres, and others."""
+"""Units that may have been mistaken: degrees and radians, millimetres and metres, and others."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -26,12 +27,28 @@ _NEAR_REACHES = 4.0
 _MILLIMETRE = 1e-3
 # On a base softer than this in every direction, N/m, an arm would sink by centimetres.
 _SOFTEST_N_M = 1e4
-# No magnet for a robot pulls less, and no clamp holds less, N.
-_LEAST_HOLD_N = 100.0
-# No robot's arm carries so much, kg.
-_HEAVIEST_KG = 300.0
-# No tip that may touch is so short, mm, no lean so small, deg, and no arm's tool faster than that, m/s.
-_SHORTEST_TIP_MM, _LEAST_LEAN_DEG, _FASTEST_M_S = 0.5, 1.0, 10.0
+# Keys, the units that their numbers look like and their own, and the sizes of numbers that do. No magnet for
+# a robot pulls less, no clamp holds less, and no arm carries so much. No tip that may touch is so short, no
+# lean so small, no arm's tool so fast, and no pump so slow. Right angles, and parts of them, are whole.
+_SUSPECTS: tuple[tuple[str, tuple[str, str], Callable[[FloatArray], bool]], ...] = (
+    (r"(guardrail|base)\..*(adhesion|force)_n", ("kN", "N"), lambda size: size.max() < 100.0),
+    (r"robot\.(payload_kg|tool\.mass_kg)", ("grams", "kg"), lambda size: size.max() >= 300.0),
+    (r"tool\.contact_mm", ("metres", "mm"), lambda size: 0 < size.max() < 0.5),
+    (r"tool\.process_ramp_s", ("milliseconds", "s"), lambda size: size.max() >= 20.0),
+    (r"tool.*\.(max_)?speed_m_s", ("mm/s", "m/s"), lambda size: size.max() > 10.0),
+    (r".*\.lean_deg", ("radians", "degrees"), lambda size: 0 < size.max() < 1.0),
+    (
+        r"(robot|tool|tool_path|frames)\..*\.rpy_deg",
+        ("radians", "degrees"),
+        lambda size: _in_radians(size, 45.0),
+    ),
+    (r"tool_path\..*\.(angle|from|to)_deg", ("radians", "degrees"), lambda size: _in_radians(size, 15.0)),
+    (r"(robot\.tool|tool\.fixed)\.xyz", ("millimetres", "metres"), lambda size: size.max() > _VAST),
+)
+# Places along a path, m, which may be as far from the origin as the robot is.
+_PLACES = re.compile(r"frames\..*\.xyz|tool_path\..*(\.(xyz|by|via|to|centre|origin|u|v)|waypoints)")
+# How near an angle is to a whole one, deg.
+_NEARLY_WHOLE_DEG = 0.1
 
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
@@ -44,38 +61,30 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
             yield key, "radians", "degrees"
     elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
         yield key, "degrees", "rad (start.posture_deg is in degrees)"
-    stiffness = scene.elastic_guardrail.stiffness
+    stiffness, mount, stance = scene.elastic_guardrail.stiffness, scene.robot.mount, scene.stance
     if stiffness is not None and np.diag(stiffness)[:3].max() < _SOFTEST_N_M:
         yield scene.softest_key, "N/mm", "N/m and Nm/rad"
-    holds = [("guardrail", hold) for hold in scene.guardrail.hold or ()]
-    holds += [("base", scene.base.hold)] if scene.base and scene.base.hold else []
-    for block, hold in holds:
-        for name, most in (("adhesion_n", hold.adhesion_n), ("force_n", hold.force_n and max(hold.force_n))):
-            if most is not None and most < _LEAST_HOLD_N:
-                yield f"{block}.hold.{name}", "kN", "N"
-    tool, fixed, attached = scene.tool, scene.tool.fixed, scene.robot.tool
-    if attached is not None and np.abs(attached.xyz).max() > _VAST:
-        yield "robot.tool.xyz", "millimetres", "metres"
-    masses = {"payload_kg": scene.robot.payload_kg, "tool.mass_kg": attached.mass_kg if attached else None}
-    yield from (
-        (f"robot.{key}", "grams", "kg") for key, mass in masses.items() if (mass or 0) >= _HEAVIEST_KG
-    )
-    if 0 < tool.contact_mm < _SHORTEST_TIP_MM:
-        yield "tool.contact_mm", "metres", "mm"
-    speeds = {"tool.max_speed_m_s": tool.max_speed_m_s}
-    for number, stroke in enumerate(scene.strokes):
-        key = scene.stroke_key(number)
-        speeds |= {f"{key}.speed_m_s": stroke.speed_m_s}
-        speeds |= {f"{key}.legs[{k}].speed_m_s": leg.speed_m_s for k, leg in enumerate(stroke.legs)}
-        lean = None if stroke.raster is None else stroke.raster.lean_deg
-        if lean is not None and 0 < np.abs(lean).max() < _LEAST_LEAN_DEG:
-            yield f"{key}.raster.lean_deg", "radians", "degrees"
-    yield from ((key, "mm/s", "m/s") for key, speed in speeds.items() if speed and speed > _FASTEST_M_S)
-    if fixed is not None and np.abs(fixed.xyz).max() > _VAST:
-        yield "tool.fixed.xyz", "millimetres", "metres"
-    for obstacle in _own(scene):
+    foot = (0.0, 0.0, 0.0) if stance is None else stance.foot
+    far = _VAST + float(np.abs([foot, foot if mount is None else mount.xyz]).max())
+    for key, numbers in scene.numbers:
+        size = np.abs(numbers)
+        for pattern, units, is_suspect in _SUSPECTS:
+            if re.fullmatch(pattern, key) and is_suspect(size):
+                yield key, *units
+        if _PLACES.fullmatch(key) and size.max() > far:
+            table = " (of a table: units: mm)" * key.endswith("waypoints")
+            yield key, "millimetres", f"metres{table}"
+    for number, obstacle in enumerate(_own(scene)):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
-            yield f"obstacle {obstacle.name}", "millimetres", "metres (scale: 1 says that they are)"
+            yield f"obstacles[{number}]", "millimetres", "metres (scale: 1 says that they are)"
+
+
+def _in_radians(size: FloatArray, whole: float) -> bool:
+    """Whether all angles but zero are multiples of so many degrees if they are radians, a turn at most."""
+    angles = np.degrees(size[size > 0])
+    times = np.round(angles / whole)
+    off = np.abs(angles - whole * times)
+    return bool(size.any() and (times >= 1).all() and (off < _NEARLY_WHOLE_DEG).all() and angles.max() < 361)
 
 
 def unit_findings(scene: Scene) -> Iterator[Finding]:

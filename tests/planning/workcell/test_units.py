@@ -67,6 +67,26 @@ def test_what_is_near_as_millimetres_and_far_as_given_is_refused(
             {"max_speed_m_s": 90},
             {"tool.max_speed_m_s": "mm/s", "tool_path.legs[0].speed_m_s": "mm/s"},
         ),
+        (
+            {"legs": [{"arc": {"centre": [0, 99, 0], "axis": [1, 0, 0], "angle_deg": 1.571}, "seconds": 9}]},
+            {"process_force_n": [0, 0, -20], "process_ramp_s": 50},
+            {
+                "tool.process_ramp_s": "milliseconds",
+                "tool_path.legs[0].arc.centre": "millimetres",
+                "tool_path.legs[0].arc.angle_deg": "radians",
+            },
+        ),
+        (
+            {"waypoints": [[1800, 0, 0, 1, 0, 0, 0], [1800, 9, 0, 1, 0, 0, 0]], "seconds": 9},
+            {"fixed": {"xyz": [1.8, 0, 0], "rpy_deg": [3.1416, 0, 1.57]}},
+            {"tool.fixed.rpy_deg": "radians", "tool_path.waypoints": "millimetres"},
+        ),
+        # Odd, and not mistaken.
+        (
+            {"legs": [{"arc": {"centre": [0, -0.2, 0], "axis": [1, 0, 0], "angle_deg": 1.5}, "seconds": 9}]},
+            {"fixed": {"xyz": [1.8, 0, 0], "rpy_deg": [0.35, 0, 1.1]}},
+            {},
+        ),
     ],
 )
 def test_units_of_tool_and_path_are_suspected(
@@ -91,12 +111,12 @@ def test_what_is_long_is_warned_of_until_its_scale_is_given(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("cmbot.views.pages", lambda _: {})
-    warning = "obstacle deck: got numbers that look like millimetres, expected metres (scale: 1 says that"
+    warning = "obstacles[0]: got numbers that look like millimetres, expected metres (scale: 1 says that"
     for scale, number in (({}, 1), ({"scale": 1}, 0)):
         path = write_scene(tmp_path / "deck.yaml", with_obstacle(**DECK, **scale))
         outcome = run("plan", path, "--force", "--verbose")
         assert outcome.err.count(warning) == number
-        assert outcome.out.count("Numbers of obstacle deck look like millimetres; ") == number
+        assert outcome.out.count("Numbers of obstacles[0] look like millimetres; ") == number
         assert run("check", path).out.count(warning) == number
 
 
@@ -104,6 +124,7 @@ def test_what_is_long_is_warned_of_until_its_scale_is_given(
 def test_no_shipped_scene_is_suspected(name: str) -> None:
     scene = cmbot.load_scene(name)
     require_metres(scene, robot_of(scene))
+    assert not [*mistaken_units(scene)]
 
 
 def test_a_long_guardrail_is_no_obstacle_in_millimetres() -> None:
