@@ -19,7 +19,7 @@ from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import line_of, lines_named
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag, TooSoftError
-from cmbot.hold import LOADS
+from cmbot.hold import LOADS, FootUse
 from cmbot.optimization import piqp_module
 from cmbot.planning.reach import beyond_reach, without_posture
 from cmbot.planning.request import StrokeRequest, end_posture_of, strokes_of, task_of
@@ -94,6 +94,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     task = task_of(strokes[0], scene)
     start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot)]
     start += [*_clearance_at_start(scene, robot), *_statics_at_start(scene, robot, task)]
+    start += _return(scene, robot)
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
     warnings += [*without_posture(scene), *_blocked_feet(scene)]
@@ -105,10 +106,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     warnings += _locked_below(scene, robot)
     # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
-    return Precheck(
-        found=(*found, *_return(scene, robot)),
-        warnings=tuple(dict.fromkeys([*unit_findings(scene), *warnings])),
-    )
+    return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*unit_findings(scene), *warnings])))
 
 
 def _asked(
@@ -209,18 +207,14 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     """What feet and locked joints bear at rest in the start posture, with the tool off."""
     holding = robot.holding
     wrench = Dynamics(robot.tool_off).static_efforts(scene.posture[None]).guardrail_wrench
-    if holding is not None and holding.adhesive:
+    if holding is not None and holding.adhesive and not holding.bounded:
         left = holding.kinds_left(holding.worst(wrench, np.zeros(1)), "the start posture alone")
         yield "holds left for the start alone", f"{left}; cmbot plan says what the job asks"
     if holding is not None and holding.bounded:
         use = holding.most_used(wrench)
         got = use.in_words
         yield "of what the feet bear there, safety included", f"{100 * use.share:.0f} %: {got}"
-        if use.share > 1.0:
-            other = ", or another place, which cmbot stand seeks" * scene.is_movable
-            expected = f"feet that bear what {scene.posture_key} asks at rest{other}"
-            key = f"{scene.hold_of(use.foot)[0]}.{use.bound}"
-            yield Finding(severity="error", key=key, got=got, expected=expected)
+        yield from _unheld(scene, use, scene.posture_key)
     if robot.holding_joints:
         uses = robot.holding_use(wrench)[0]
         share, joint = float(uses.max()), robot.holding_joints[int(uses.argmax())]
@@ -229,6 +223,15 @@ def _hold_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
             got = f"{100 * share:.0f} % of what the locked {joint.name} holds, {joint.limit:g} Nm, at rest"
             expected = "at most 100 %, or more of holding_torque in the limits file"
             yield Finding(severity="error", key=scene.posture_key, got=got, expected=expected)
+
+
+def _unheld(scene: Scene, use: FootUse, asks: str) -> Iterator[Finding]:
+    """Yield that a foot does not bear what something asks at rest."""
+    if use.share > 1.0:
+        other = ", or another place, which cmbot stand seeks" * scene.is_movable
+        key = f"{scene.hold_of(use.foot)[0]}.{use.bound}"
+        expected = f"feet that bear what {asks} asks at rest{other}"
+        yield Finding(severity="error", key=key, got=use.in_words, expected=expected)
 
 
 def _too_strong(scene: Scene, robot: Robot) -> Iterator[Finding]:
@@ -320,12 +323,15 @@ def _seconds(path: ToolPath) -> str:
     return "the shortest time" + (f" and {given:.6g} s" if given else "")
 
 
-def _return(scene: Scene, robot: Robot) -> Iterator[tuple[str, str]]:
+def _return(scene: Scene, robot: Robot) -> Iterator[_Found]:
     """Where the arm goes after the work, and what it asks there at rest."""
     end = end_posture_of(scene, robot)
     if end is not None:
-        torque = np.linalg.norm(Dynamics(robot.tool_off).static_efforts(end[None]).guardrail_torque)
+        efforts = Dynamics(robot.tool_off).static_efforts(end[None])
+        torque = np.linalg.norm(efforts.guardrail_torque)
         yield "return", f"to {scene.return_to}: {torque:.2f} Nm on the {scene.base_name} there"
+        if robot.holding is not None and robot.holding.bounded and (end != scene.posture).any():
+            yield from _unheld(scene, robot.holding.most_used(efforts.guardrail_wrench), "the return")
 
 
 def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Iterator[Finding]:

@@ -23,9 +23,8 @@ from cmbot.scene import Scene, Stroke
 
 # Leans of a raster's tool that are tried, degrees.
 _LEANS = ((0.0, 15.0), (0.0, -15.0), (15.0, 0.0), (-15.0, 0.0))
-
-# Bounds of feet that are raised one after the other.
-_FIRMER_FEET = 4
+# Bounds of feet that are raised one after the other, and for what a motion asks more than rest.
+_FIRMER_FEET, _IN_MOTION = 4, 1.05
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
@@ -151,7 +150,7 @@ def firmer(scene: Scene, request: StrokeRequest) -> str:
             return words and f"{words} would do at rest{', or cmbot stand' * scene.is_movable}"
         foot, (key, hold) = holding.feet[use.foot], asked.hold_of(use.foot)
         each = [ceil(bound) for bound in np.atleast_1d(getattr(hold, use.bound))]
-        each[use.axis] = 10 * ceil(use.share * each[use.axis] / 10)
+        each[use.axis] = 10 * ceil(_IN_MOTION * use.share * each[use.axis] / 10)
         if use.bound == "adhesion_n" and each[0] > foot.most_adhesion:
             return f"no magnet pulls more than {foot.most_adhesion / 1e3:.1f} kN there: a clamp may do"
         values[f"{key}.{use.bound}"] = each if len(each) > 1 else each[0]

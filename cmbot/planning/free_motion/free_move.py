@@ -20,7 +20,7 @@ from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.job import Segment
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, weakest_joint
+from cmbot.planning.workcell.diagnosis import most_often_near, out_of_range, overload
 from cmbot.planning.workcell.objectives import efforts_of
 from cmbot.planning.workcell.workcell import Workcell
 from cmbot.robot import Dynamics, Robot
@@ -226,7 +226,11 @@ def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> Pa
     heavy = blocked[np.isinf(space.cost(blocked))]
     way, pair = "", None
     if 2 * len(heavy) > len(blocked):
-        way = f" (straight there {weakest_joint(request.cell, heavy)} cannot hold the arm)"
+        use = request.cell.use_at_rest(request.cell.postures.at(heavy))
+        way = f" (straight there {overload(request.cell, heavy[use.argmax()])})"
+        for place, q in ((move.start_name, move.start), (move.end_name, move.end)):
+            # No other way helps.
+            way = f" (in {place} {asked})" if (asked := overload(request.cell, q)) else way
     elif len(blocked) and (pair := most_often_near(request.cell, blocked)):
         way = f" (straight there {pair[0]} and {pair[1]} come too near)"
     stopped = request.deadline.expired()

@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.path.place_search import MissedPlace, worst_missed
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.task import ToolTask
-from cmbot.planning.workcell.diagnosis import FEET, most_often_near, weakest_joint
+from cmbot.planning.workcell.diagnosis import FEET, most_often_near, overload, weakest_joint
 from cmbot.scene import AxisCone, Keep
 
 # Distance of places along a leg, m, and the least number of steps on one; how many there are at most of a
@@ -127,24 +127,16 @@ class NearestMiss:
     @property
     def feet_bind(self) -> bool:
         """Whether it is the feet that the best posture asks too much of."""
-        return self.missed.is_held and self._weakest == FEET
-
-    @property
-    def _weakest(self) -> str:
-        """The joint, or the feet, that the best posture asks too much of; empty where there is none."""
-        return weakest_joint(self.request.cell, self.missed.best[None]) if self._use > 1.0 else ""
+        weakest = weakest_joint(self.request.cell, self.missed.best[None])
+        return self.missed.is_held and self._use > 1.0 and weakest == FEET
 
     @property
     def at_best(self) -> str:
         """What the best posture that was found lacks."""
-        cell, best = self.request.cell, self.missed.best[None]
-        if joint := self._weakest:
-            limit, holding = "torque", cell.robot.holding
-            if joint == FEET and holding is not None:
-                use = holding.most_used(cell.postures.at(best).guardrail_wrench)
-                limit = f"hold ({use.bound}{'' if use.bound == 'adhesion_n' else f'[{use.axis}]'})"
-            return f"{joint} uses {self._use:.0%} of its {limit}"
-        smallest = cell.clearances.query(best)
+        cell, best = self.request.cell, self.missed.best
+        if asked := overload(cell, best):
+            return asked
+        smallest = cell.clearances.query(best[None])
         pair = cell.clearances.pairs[int(smallest.pair[0])]
         return pair.describe(float(smallest.distance[0]), cell.options.safety_margin_m)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
 
@@ -38,6 +39,19 @@ def weakest_joint(cell: Workcell, q: FloatArray) -> str:
         return FEET
     joints = [*robot.joints, *(f"the locked {joint.name}" for joint in robot.holding_joints)]
     return joints[int(np.bincount(use.argmax(axis=1)).argmax())]
+
+
+def overload(cell: Workcell, q: FloatArray) -> str:
+    """Return in words what a posture (n,) asks too much of at rest, a joint or a foot; else nothing."""
+    at = cell.postures.at(q[None])
+    use, holding = float(cell.use_at_rest(at)[0]), cell.robot.holding
+    if use <= 1.0:
+        return ""
+    joint, limit = weakest_joint(cell, q[None]), "torque"
+    if joint == FEET and holding is not None:
+        most = holding.most_used(at.guardrail_wrench)
+        limit = f"hold ({most.bound}{'' if most.bound == 'adhesion_n' else f'[{most.axis}]'})"
+    return f"{joint} uses {ceil(100 * use)}% of its {limit}"
 
 
 def out_of_range(cell: Workcell, q: FloatArray) -> str:

@@ -138,6 +138,17 @@ def test_a_return_to_another_posture_is_refused(returning_plan: Plan, folder: Pa
     assert "where the job is to end at last" in refused(folder, "job.npz", "q").expected
 
 
+def test_where_feet_are_too_weak_for_the_return_it_says_so() -> None:
+    """From the stow posture to that of the start, which asks a third more than the clamp bears."""
+    clamp = {"kind": "clamp", "force_n": [9000] * 3, "moment_nm": [9000, 9000, 310], "safety": 1}
+    scene = short_scene(**{"return": "stow"}, guardrail={"hold": clamp})
+    asked = request_of(scene)
+    heavy = replace(asked, end_posture=asked.state.posture)
+    words = r"\(in the start posture a foot uses 134% of its hold \(moment_nm\[2\]\)\); with return: none"
+    with pytest.raises(PathNotFound, match=words):
+        plan_return(heavy, asked.end_posture, begin=4.0, allowed=0.0)
+
+
 def test_no_move_leads_to_where_the_arm_is() -> None:
     asked = request_of(short_scene())
     assert plan_return(asked, asked.state.posture, begin=4.0, allowed=0.0) is None
