@@ -161,7 +161,9 @@ def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot
     from cmbot.common.reading.validation import validated
 
     given = _given(scene, changes)
-    options = {name: given.pop(name) for name in list(given) if name in _option_names()}
+    # A block is that of the scene: start has the name of an option.
+    named = [name for name in given if name in _option_names() and not isinstance(given[name], Mapping)]
+    options = {name: given.pop(name) for name in named}
     loaded = _with_values(scene, given) if given else cmbot.load_scene(scene)
     return loaded, validated(cmbot.PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
 

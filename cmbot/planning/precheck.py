@@ -123,7 +123,10 @@ def _asked(
     contact = f", which the last {tip:g} mm of the tool may touch" if tip else ""
     yield "obstacles", f"{len(scene.all_obstacles)}, of them {workpieces}{contact}"
     axis = ", ".join(f"{x:g}" for x in np.round(task.path.poses([0.0]).rotation[0, :, 2], 2) + 0.0)
-    yield "tool point at the start", f"({point}) m, its axis along ({axis})"
+    goal = scene.strokes[0].start_pose
+    as_before = goal is not None and goal.rpy_deg is goal.axis is None and task.keep != "position"
+    turned = f", turned as in {scene.posture_key}: from has no rpy_deg and no axis" * as_before
+    yield "tool point at the start", f"({point}) m, its axis along ({axis}){turned}"
     if robot.pushed:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
         slowly = f", which sets in within {robot.tool_ramp:g} s" if robot.tool_ramp else ""

@@ -41,8 +41,8 @@ class Tool(CheckedFields):
         Largest speed of the tool point, m/s. The tool path keeps it exactly; the arm's tool may exceed it by
         5 % between via-points. Left out: any speed.
     tolerance : Tolerance or None
-        How far the tool may be from its path, which the accuracy budget is compared with; the planner's
-        options bound the motion.
+        How far the tool may be from its path, for the accuracy budget; the planner's options bound the
+        motion.
     contact_mm : float
         Length of the tip, along z up to the tool point, that may touch workpieces, mm; where that point
         touches, at least ``planner.safety_margin_m``. At most 10 mm may be in one. On free moves only as

@@ -56,12 +56,13 @@ class Goal(CheckedFields):
     xyz : three floats
         Place of the tool point, m, in `frame`.
     rpy_deg : three floats or None
-        Its orientation in `frame`: roll, pitch, yaw as in URDF. Left out with `axis`: as before.
+        Its orientation in `frame`: roll, pitch, yaw as in URDF. Left out, as `axis`: as before, at first
+        as at the start.
     axis : three floats or None
         In place of `rpy_deg` the direction of the tool's z axis in `frame`, a unit vector; the tool turns to
         it on the shortest way.
     frame : str
-        ``world``, ``tool`` (the tool's pose where the path begins) or the name of one of `frames`.
+        ``world``, ``tool`` (the tool's pose where the path begins) or one of `frames`.
 
     Raises
     ------

@@ -44,6 +44,11 @@ def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
     assert f"short ({path})" in out
     assert "1 leg, 0.300 m in 4 s" in out
     assert values(out)["obstacles"].endswith(", of them 1 workpiece")
+    # Where nothing says how the tool is turned there, it is as before.
+    legs = {"from": {"xyz": [1.8, 0.7, -2.0]}, "legs": [{"by": [0, -0.1, 0], "seconds": 4}]}
+    out = run("check", write_scene(tmp_path / "from.yaml", {**SHORT, "tool_path": legs})).out
+    turned = ", turned as in start.posture_deg: from has no rpy_deg and no axis"
+    assert values(out)["tool point at the start"].endswith(turned)
 
 
 # The tool, a cylinder of radius 0.04 m, is 0.01 m deep in it, or as far away.

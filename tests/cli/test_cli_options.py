@@ -92,6 +92,9 @@ def test_set_takes_keys_of_the_scene_file(folder: Path, monkeypatch: pytest.Monk
     assert (scene.robot.payload_kg, scene.strokes[0].legs[0].seconds) == (2, 4)
     assert scene.robot.payload_kg == 2
     assert scene.strokes[0].legs[0].by == before.strokes[0].legs[0].by
+    # A block is the scene's, where an option has its name.
+    assert run("plan", "short.yaml", "--set", "start={stow: true}").status == 2
+    assert planned[1].posture_key == "start.stow"
     # What is wrong in the file itself is named by the file.
     text = (folder / "short.yaml").read_text(encoding="utf-8")
     (folder / "wrong.yaml").write_text(f"{text}\nmore: 1\n", encoding="utf-8")

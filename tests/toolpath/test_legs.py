@@ -606,7 +606,11 @@ def test_a_file_with_units_a_pose_times_and_what_is_not_read(tmp_path: Path) -> 
         (stroke,) = load_scene(file).strokes
     np.testing.assert_allclose(np.array(stroke.waypoints)[:, :3], [[1, 2.1, 3], [0.95, 2.1, 3]], atol=1e-12)
     assert stroke.seconds == 3
-    data["tool_path"]["waypoints"]["units"] = "furlong"
+    data["tool_path"]["waypoints"] = place | {"frame": "part"}
+    file.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(SceneError, match=r"\.waypoints\.frame: .*, expected xyz and rpy_deg of that frame"):
+        load_scene(file)
+    data["tool_path"]["waypoints"] = place | {"units": "furlong"}
     file.write_text(yaml.safe_dump(data), encoding="utf-8")
     with pytest.raises(SceneError, match=r"tool_path\.waypoints\.units: got 'furlong'"):
         load_scene(file)
