@@ -74,7 +74,8 @@ class LinkTube(ShortRepr):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if math.dist(self.start, self.end) < _MIN_LENGTH_M:
-            raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
+            got = f"start_m {self.start} and end_m {self.end}"
+            raise refusal("ends a millimetre or more apart", got=got)
         require_tube(self.start, self.end, self.outer_diameter, self.wall)
         return self
 

@@ -124,7 +124,7 @@ def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
         ("    wall_m: 0.003\n", "", "links.link_5.wall_m", "a value"),
         ("wall_m: 0.003", "wall: 0.003", "links.link_5.wall", "known key"),
         ("diameter_m: 0.08", "diameter_m: '0.08'", "links.link_5.outer_diameter_m", "a number"),
-        ("-0.87]\n    end_m: [0.0, 0.0, 0.0]", "0]\n    end_m: [0, 0, 1e-4]", "links.link_5.end_m", "apart"),
+        ("-0.87]\n    end_m: [0.0, 0.0, 0.0]", "0]\n    end_m: [0, 0, 1e-4]", "links.link_5", "apart"),
         ("[0.0, 0.0, -0.87]", "[0.0, -0.87]", "links.link_5.start_m", "a list of 3 items"),
         ("young_pa: 70000000000.0", "young_pa: 70.0", "links.link_1.young_pa", "GPa? then 70e+9"),
         ("young_pa: 70000000000.0", "young_pa: 70000", "links.link_1.young_pa", "N/mm2? then 70000e+6"),

@@ -23,6 +23,8 @@ T = TypeVar("T")
 
 # Letters of a part by which a choice is found, and what close words have in common: more than three of five.
 _LEAST_PART, _LEAST_ALIKE = 4, 0.62
+# What others call what a file has.
+_SYNONYMS: Mapping[str, str] = {"urdf": "model"}
 # Keys of a mapping that a message names.
 _NAMED_KEYS = 3
 _MAX_SHOWN_CHARACTERS = 60
@@ -367,7 +369,8 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 def hint(word: object, choices: Sequence[str]) -> str:
     """Return ``; did you mean X?`` where a choice is close to `word` or has it, otherwise nothing."""
-    close = difflib.get_close_matches(str(word), choices, n=1, cutoff=_LEAST_ALIKE)
+    close = [each for each in choices if each == _SYNONYMS.get(str(word))]
+    close = close or difflib.get_close_matches(str(word), choices, n=1, cutoff=_LEAST_ALIKE)
     if not close and len(str(word)) >= _LEAST_PART:
         # Of those that have it, the one that begins with it.
         close = sorted((each for each in choices if str(word) in each), key=lambda each: each.find(str(word)))

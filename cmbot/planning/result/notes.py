@@ -222,7 +222,11 @@ def _start(plan: Plan) -> Iterator[Note]:
     elif plan.compensation is not None and near:
         yield _note("note", "sagging_start", **values)
     else:
-        yield _note("note", "path_start" if plan.scene.begins_elsewhere else "better_start", **values)
+        key, choice = "path_start" if plan.scene.begins_elsewhere else "better_start", plan.choice
+        # The mean over the work may gain, or the travel, where the peak hardly does.
+        least = 1 + plan.options.min_gain
+        better = not (choice and choice.free and choice.pinned) or choice.pinned >= least * choice.free
+        yield _note("note", key, **values, better=better)
 
 
 def _told(plan: Plan) -> Iterator[Note]:

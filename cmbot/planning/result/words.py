@@ -342,8 +342,9 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         f"Starts where the tool path begins, in the posture {note.posture}, {_away(note)} away."
     ),
     "better_start": lambda note: (
-        f"Starts in a better posture with the same tool pose (start: free), {note.posture}, {_away(note)} "
-        f"away, which takes {note.seconds:.1f} s; start: pinned stays where the arm is."
+        f"Starts in {'a better' if note.better else 'another'} posture with the same tool pose (start: "
+        f"free), {note.posture}, {_away(note)} away, which takes {note.seconds:.1f} s; start: pinned stays "
+        "where the arm is."
     ),
     "fallback": "{text}",
     "robot": "{text}",

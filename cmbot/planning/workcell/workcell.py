@@ -386,8 +386,10 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
         away = math.dist(end, held)
         got = f"an end {away:.3g} m from what it holds, the arm at ({_numbers(held)})"
         expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}]"
-        if scene.base and scene.base.tube and math.dist(scene.base.tube.start_m, held) <= _MOST_BESIDE_M:
-            expected += f", start_m: [{_numbers(end)}]"  # the two are exchanged
+        if scene.base and scene.base.tube:
+            length = math.dist(scene.base.tube.start_m, held)
+            exchanged = f", start_m: [{_numbers(end)}]" if length <= _MOST_BESIDE_M else ""
+            expected += exchanged or f", so that it is {length:.3g} m long"
         if not scene.on_guardrail:
             expected += f", or robot.mount: {{xyz: [{_numbers(end)}], rpy_deg: [0, 0, 0]}}"
         raise SceneError(scene.source, "base.tube.end_m", got, expected)

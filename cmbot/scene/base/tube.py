@@ -56,8 +56,9 @@ class TubeFile(OneOf):
         super()._check()
         outer = min(self.outer_m or (self.outer_diameter_m or 0.0,))
         if math.dist(self.start_m, self.end_m) < max(self.outer_m or (outer,)):
-            key, other = ("start_m", "end_m")[:: -1 if "end_m" in self.model_fields_set else 1]
-            raise refusal(f"farther from {other} than {self.given}", got=getattr(self, key), key=(key,))
+            # Either may be the wrong one.
+            got = f"start_m {self.start_m} and end_m {self.end_m}"
+            raise refusal(f"ends farther apart than {self.given}", got=got)
         if self.outer_m and self.wall_m > outer / 4:
             expected = "at most a quarter of a side of outer_m: torsion is that of a thin wall"
             raise refusal(expected, got=self.wall_m, key=("wall_m",))

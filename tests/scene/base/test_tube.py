@@ -93,14 +93,17 @@ def test_anywhere_it_is_an_element_of_a_frame(start: tuple[float, ...], end: tup
 @pytest.mark.parametrize(
     ("tube", "expected"),
     [
-        ({"outer_diameter_m": 3, "wall_m": 0.01}, r"start_m: .* farther from end_m"),
+        (
+            {"outer_diameter_m": 3, "wall_m": 0.01},
+            r"base.tube: got start_m .* ends farther apart than outer_d",
+        ),
         ({"wall_m": 0.06}, "at most half"),
         ({"start_m": [0, 0, -2500]}, r"start_m: .*millimetres[?] then \[0, 0, -2.5\]"),
         ({"outer_diameter_m": 120}, "millimetres[?] then 0.12"),
         ({"young_pa": 70000}, "N/mm2[?] then 70000e[+]6"),
         ({"young_pa": 70}, "GPa[?] then 70e[+]9"),
         ({"density_kg_m3": 2.7}, "g/cm3[?] then 2700"),
-        ({"end_m": [0, 0, -2.5]}, r"end_m: .* farther from start_m"),
+        ({"end_m": [0, 0, -2.5]}, r"base.tube: got start_m .* and end_m .* ends farther"),
         ({"outer_m": [0.1, 0.1]}, "outer_diameter_m"),
         ({"outer_diameter_m": None}, "outer_m"),
         ({"outer_diameter_m": None, "outer_m": [0.1, 0.05], "wall_m": 0.02}, "thin wall"),
@@ -127,7 +130,8 @@ def test_a_tube_ends_where_the_arm_is() -> None:
     data["robot"] |= {"mount": {"xyz": [0.0, 0.6, 0.8], "rpy_deg": [0, 0, 0]}}
     said = r"base.tube.end_m: got an end 1 m from what it holds, the arm at \(0, 0.6, 0.8\), expected at most"
     with pytest.raises(
-        SceneError, match=said + r" 0.5 m; set end_m: \[0, 0.6, 0.8\], or robot.mount: {xyz: \[0, 0, 0\]"
+        SceneError,
+        match=said + r" 0.5 m; set end_m: \[0, 0.6, 0.8\], so that it is 3.35 m long, or robot.mount: {xyz",
     ):
         robot_of(load_scene(data))
     # Below the first joint, which is 0.33 m above the arm's base.
