@@ -19,7 +19,7 @@ from PIL import Image
 import cmbot
 from cmbot.views import film, replay_page
 
-SIZES = {"replay": (1280, 720), "report": (1280, 800)}
+SIZES = {"replay": (1280, 720), "report": (1500, 1095)}
 # Time in which the page may load and draw, ms of its own clock.
 BUDGET = 15_000
 # How much of the first stroke is over in the pictures: both arms are apart then.
