@@ -415,8 +415,7 @@ def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
         key = stroke.leg_key(0) if len(path.lengths) == 1 and stroke.file.legs else stroke.key
         speed = "speed_m_s" if stroke.asked_speed(0) is not None else "seconds"
         got = f"{length:.3g} m in {seconds:.3g} s"
-        expected = "seconds: auto, which finds the shortest time; in less than "
-        expected += f"{_rounded_up(least)} s no arm of this reach keeps its limits"
+        expected = f"seconds: auto; in less than {_rounded_up(least)} s no arm of this reach keeps its limits"
         yield Finding(severity="error", key=f"{key}.{speed}", got=got, expected=expected)
 
 

@@ -43,7 +43,7 @@ _ASSUMED_TURNING, _ASSUMED_SLIDING, _ASSUMED_EFFORT, _EFFORT_FLOOR = 1.0, 0.1, 2
 # A range, rad, that ends between these is likely to be in degrees: after four turns, or with no end meant.
 _MANY_TURNS, _NO_END = 8 * np.pi, 1e3
 # Numbers in deg/s of at most so many times those in rad/s are in rad/s themselves.
-_SAME_NUMBERS = 3.0
+_TURN, _SAME_NUMBERS = 2 * np.pi, 3.0
 # The range of a joint that slides ends somewhere, m.
 _MAX_RANGE_M = 1e3
 # Fields of `JointLimits` that say yes or no of each joint.
@@ -230,18 +230,16 @@ def joint_limits(
         **{name: each[own] for name, each in assumed.items()},
     )
     unknown = {name: none[own] for name, none in unknown.items()}
-    told = (*_said_by_moveit(listed, path, given), *_assumed(unknown))
-    if isinstance(listed, JointLimitsFile):
-        told += tuple(_in_radians(np.degrees(_filled([each.velocity for each in given])), model, path))
+    told = (*_said_by_moveit(listed, path, given), *_assumed(unknown), *_in_radians(given, model, path))
     if listed.assumed:
         told += (f"{_named(unknown, given)} limits in {path} are assumed: it says assumed: true.",)
     return limits, told
 
 
-def _in_radians(listed: FloatArray, model: Any, path: Path | None) -> Iterator[str]:
-    """What velocities (n,), deg/s, of a file look like that are numbers as the URDF has them in rad/s."""
-    described = np.array(model.upperVelocityLimit)
-    both = (listed > 0) & (described >= LEAST_LIMIT) & np.isfinite(described) & ~prismatic_joints(model)
+def _in_radians(given: Sequence[GivenLimits], model: Any, path: Path | None) -> Iterator[str]:
+    """What velocities of a file, in deg/s, look like where they are numbers as the URDF has them in rad/s."""
+    listed, described = np.degrees(_filled([each.velocity for each in given])), model.upperVelocityLimit
+    both = (listed > 0) & np.isfinite(described) & ~prismatic_joints(model)
     if both.any() and (listed <= _SAME_NUMBERS * described)[both].all():
         yield f"Velocities in {path} look like rad/s; they are taken as deg/s, far below those of the URDF."
 

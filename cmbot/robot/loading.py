@@ -52,9 +52,9 @@ _LOADER_FIELDS = ("srdf", "limits", "elasticity", "package_dirs", "xacro", "base
 # An arm that weighs less is one without masses, kg.
 _MIN_ARM_MASS_KG = 1e-3
 # Shapes that extend further, as a multiple of the reach, are in millimetres; of what does not move, meshes
-# that also extend further than so many metres. What is smaller than the last, m, is none of these.
-_LARGEST_SHAPE, _LARGEST_FIXED, _SMALL_M = 4.0, 20.0, 2.0
-_LONGEST_LINK_M = 100.0
+# that also extend further than so many metres. What is smaller than the third, m, is none of these. A link
+# that is longer than the last, m, is in millimetres, too.
+_LARGEST_SHAPE, _LARGEST_FIXED, _SMALL_M, _LONGEST_LINK_M = 4.0, 20.0, 2.0, 100.0
 # One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
 # industrial arms have a sixth of that.
 _MAX_DENSITY_KG_M3 = 1000.0

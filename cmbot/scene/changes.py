@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
@@ -62,9 +61,8 @@ def numbers_in(node: Any, key: str = "") -> Iterator[tuple[str, FloatArray]]:
     elif isinstance(node, list) and node and isinstance(node[0], dict):
         for k, value in enumerate(node):
             yield from numbers_in(value, f"{key}[{k}]")
-    elif isinstance(node, list | float) and np.size(node):
-        with suppress(ValueError):  # of words
-            yield key, np.array(node, float)
+    elif isinstance(node, float) or (isinstance(node, list) and node and not isinstance(node[0], str)):
+        yield key, np.array(node, float)
 
 
 def _content_key(name: str, node: Any, prefix: str) -> str | None:

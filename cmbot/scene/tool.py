@@ -5,24 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from cmbot.common.reading.validation import CheckedFields, refusal
+from cmbot.common.reading.fields import no_thousands
+from cmbot.common.reading.validation import CheckedFields
 from cmbot.scene.robot_entry import MountFile
 from cmbot.scene.uncertainty import Tolerance
 
 SPEED_TOLERANCE = 0.05
 """By what share the arm's tool may exceed the largest speed of the tool path between via-points."""
 
-_LONGEST_RAMP_S = 60.0
 # The bound, 10 kN, catches millinewtons given for newtons.
 Force = Annotated[float, Field(ge=-1e4, le=1e4)]
-
-
-def _in_seconds(ramp: float) -> float:
-    if ramp > _LONGEST_RAMP_S:
-        raise refusal(f"at most {_LONGEST_RAMP_S:g} s: milliseconds? then {ramp / 1000:g}", got=ramp)
-    return ramp
+_AT_MOST_A_MINUTE = no_thousands(60.0, "at most 60 s: milliseconds")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +54,7 @@ class Tool(CheckedFields):
     """
 
     process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
-    process_ramp_s: Annotated[float, Field(ge=0, le=6e4), AfterValidator(_in_seconds)] = 0.0
+    process_ramp_s: Annotated[float, Field(ge=0, le=6e4), _AT_MOST_A_MINUTE] = 0.0
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     tolerance: Tolerance | None = None
     contact_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0

@@ -543,9 +543,8 @@ def best_scene(ranking: StanceRanking, rank: int = 1) -> Scene:
         raise PlanningError(f"no stance of {len(ranking.ranked)} is left: {ranking.reasons_in_words}")
     if ranked.plan is not None:
         # A plan that is not one of many proves its bound, too.
-        made, needs = ranked.plan, ceil(_PROVEN_TIME * ranked.plan.seconds.total)
-        most = max(made.scene.planner.time_limit_s, needs)
-        return made.scene.with_options(time_limit_s=float(most))
+        made, needs = ranked.plan.scene, ceil(_PROVEN_TIME * ranked.plan.seconds.total)
+        return made.with_options(time_limit_s=max(made.planner.time_limit_s, float(needs)))
     return scene_at(ranking.scene if ranked.own else put_away(ranking.scene), ranked.candidate, None)
 
 

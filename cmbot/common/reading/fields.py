@@ -105,10 +105,15 @@ def _in_pascals(modulus: float) -> float:
     return modulus
 
 
-def _in_metres(thickness: float) -> float:
-    if thickness > _THICKEST_M:
-        raise refusal(f"metres: millimetres? then {thickness / 1000:g}", got=thickness)
-    return thickness
+def no_thousands(most: float, units: str) -> AfterValidator:
+    """Return what refuses a number that is larger, with its thousandth and the `units` meant."""
+
+    def checked(value: float) -> float:
+        if value > most:
+            raise refusal(f"{units}? then {value / 1000:g}", got=value)
+        return value
+
+    return AfterValidator(checked)
 
 
 def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, wall: float) -> None:
@@ -123,7 +128,7 @@ def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, 
 
 
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
-Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), AfterValidator(_in_metres)]
+Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), no_thousands(_THICKEST_M, "metres: millimetres")]
 """Of a tube, a bar or a leg, m."""
 Modulus = Annotated[float, Field(gt=0, le=1e13), AfterValidator(_in_pascals)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]

@@ -16,8 +16,7 @@ from cmbot.scene import Scene
 FAR_REACHES = 10.0
 """What is further than so many times the arm's reach is far away."""
 
-# An angle is whole to this, deg.
-_WHOLE_ANGLE_TOLERANCE_DEG = 1e-6
+_TURN = 2 * np.pi
 # An obstacle whose every side is at least the first, m, may be in millimetres: decks and girders are long.
 # One whose every side is beyond the second is, where as millimetres it would be near the arm;
 # so is a tool that is fixed as far away.
@@ -31,6 +30,12 @@ _SOFTEST_N_M = 1e4
 # a robot pulls less, no clamp holds less, and no arm carries so much. No tip that may touch is so short, no
 # lean so small, no arm's tool so fast, and no pump so slow. Right angles, and parts of them, are whole.
 _SUSPECTS: tuple[tuple[str, tuple[str, str], Callable[[FloatArray], bool]], ...] = (
+    (r"start\.posture_deg", ("radians", "degrees"), lambda size: _is_uneven_turn(size)),
+    (
+        r"start\.posture",
+        ("degrees", "rad (start.posture_deg is in degrees)"),
+        lambda size: size.max() > _TURN,
+    ),
     (r"(guardrail|base)\..*(adhesion|force)_n", ("kN", "N"), lambda size: size.max() < 100.0),
     (r"robot\.(payload_kg|tool\.mass_kg)", ("grams", "kg"), lambda size: size.max() >= 300.0),
     (r"tool\.contact_mm", ("metres", "mm"), lambda size: 0 < size.max() < 0.5),
@@ -53,14 +58,6 @@ _NEARLY_WHOLE_DEG = 0.1
 
 def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
-    key = scene.posture_key
-    if key.endswith("posture_deg"):
-        angles = np.abs(np.degrees(scene.posture))
-        fractions = np.abs(angles - np.round(angles)) > _WHOLE_ANGLE_TOLERANCE_DEG
-        if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:
-            yield key, "radians", "degrees"
-    elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
-        yield key, "degrees", "rad (start.posture_deg is in degrees)"
     stiffness, mount, stance = scene.elastic_guardrail.stiffness, scene.robot.mount, scene.stance
     if stiffness is not None and np.diag(stiffness)[:3].max() < _SOFTEST_N_M:
         yield scene.softest_key, "N/mm", "N/m and Nm/rad"
@@ -72,11 +69,15 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
             if re.fullmatch(pattern, key) and is_suspect(size):
                 yield key, *units
         if _PLACES.fullmatch(key) and size.max() > far:
-            table = " (of a table: units: mm)" * key.endswith("waypoints")
-            yield key, "millimetres", f"metres{table}"
+            yield key, "millimetres", f"metres{' (of a table: units: mm)' * key.endswith('waypoints')}"
     for number, obstacle in enumerate(_own(scene)):
         if obstacle.scale is None and _shortest_side(extent_of(obstacle)) >= _HUGE:
             yield f"obstacles[{number}]", "millimetres", "metres (scale: 1 says that they are)"
+
+
+def _is_uneven_turn(size: FloatArray) -> bool:
+    """Whether angles are at most a turn in radians, and two of them no whole numbers."""
+    return bool(0.5 < size.max() <= _TURN and (np.abs(size - size.round()) > 1e-6).sum() >= 2)
 
 
 def _in_radians(size: FloatArray, whole: float) -> bool:
@@ -95,8 +96,7 @@ def unit_findings(scene: Scene) -> Iterator[Finding]:
     scene : Scene
     """
     for key, looks, units in mistaken_units(scene):
-        got = f"numbers that look like {looks}"
-        yield Finding(severity="warning", key=key, got=got, expected=units)
+        yield Finding(severity="warning", key=key, got=f"numbers that look like {looks}", expected=units)
 
 
 def require_metres(scene: Scene, robot: Robot) -> None:

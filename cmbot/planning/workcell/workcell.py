@@ -381,17 +381,15 @@ def robot_of(scene: Scene) -> Robot:
 
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
-    (away, held), end = _beside_stiffness(scene, robot), _tube_end(scene)
-    if end and away > _MOST_BESIDE_M:
-        away = math.dist(end, held)
-        got = f"an end {away:.3g} m from what it holds, the arm at ({_numbers(held)})"
-        expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}]"
-        if scene.base and scene.base.tube:
-            length = math.dist(scene.base.tube.start_m, held)
-            exchanged = f", start_m: [{_numbers(end)}]" if length <= _MOST_BESIDE_M else ""
-            expected += exchanged or f", so that it is {length:.3g} m long"
+    (away, held), tube = _beside_stiffness(scene, robot), scene.base and scene.base.tube
+    if tube and away > _MOST_BESIDE_M:
+        end, length = _numbers(tube.end_m), math.dist(tube.start_m, held)
+        got = f"an end {math.dist(tube.end_m, held):.3g} m from what it holds, the arm at ({_numbers(held)})"
+        expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}], "
+        # The two may be exchanged.
+        expected += f"start_m: [{end}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
         if not scene.on_guardrail:
-            expected += f", or robot.mount: {{xyz: [{_numbers(end)}], rpy_deg: [0, 0, 0]}}"
+            expected += f", or robot.mount: {{xyz: [{end}], rpy_deg: [0, 0, 0]}}"
         raise SceneError(scene.source, "base.tube.end_m", got, expected)
 
 
