@@ -162,8 +162,7 @@ def loaded_scene(scene: str, changes: Sequence[str]) -> tuple[cmbot.Scene, cmbot
 
     given = _given(scene, changes)
     # A block is that of the scene: start has the name of an option.
-    named = [name for name in given if name in _option_names() and not isinstance(given[name], Mapping)]
-    options = {name: given.pop(name) for name in named}
+    options = {key: given.pop(key) for key in _option_names() if not isinstance(given.get(key, {}), dict)}
     loaded = _with_values(scene, given) if given else cmbot.load_scene(scene)
     return loaded, validated(cmbot.PlannerOptions, asdict(loaded.planner) | options, "--set", InputError)
 

@@ -92,9 +92,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         strokes = strokes_of(scene, robot)
         require_metres(scene, robot)
     task = task_of(strokes[0], scene)
-    start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot)]
-    start += [*_clearance_at_start(scene, robot), *_statics_at_start(scene, robot, task)]
-    start += _return(scene, robot)
+    start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot), *_clearance_at_start(scene, robot)]
+    start += [*_statics_at_start(scene, robot, task), *_return(scene, robot)]
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
     warnings += [*without_posture(scene), *_blocked_feet(scene)]
@@ -102,8 +101,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)]
         warnings += [] if any(beyond_reach(stroke, robot)) else _too_short(stroke, robot)
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
-    warnings += precheck_options(scene.planner, scene.tool)
-    warnings += _locked_below(scene, robot)
+    warnings += [*precheck_options(scene.planner, scene.tool), *_locked_below(scene, robot)]
     # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
     return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*unit_findings(scene), *warnings])))

@@ -15,7 +15,7 @@ What is not named is rigid, and so is all of a robot without the file. ``cmbot-e
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
@@ -74,8 +74,7 @@ class LinkTube(ShortRepr):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if math.dist(self.start, self.end) < _MIN_LENGTH_M:
-            got = f"start_m {self.start} and end_m {self.end}"
-            raise refusal("ends a millimetre or more apart", got=got)
+            raise refusal("ends a millimetre apart", got=f"start_m {self.start} and end_m {self.end}")
         require_tube(self.start, self.end, self.outer_diameter, self.wall)
         return self
 
@@ -136,16 +135,21 @@ def read_elasticity(
         return Elasticity(_tubes(data, path, model), springs, locked)
 
 
+def require_joints(names: Iterable[str], model: Any, path: Path | None) -> None:
+    """Refuse the names in a file's ``joints`` that are no joints of the URDF, which move or are fixed."""
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    known = tuple(frame.name for frame in model.frames if frame.type in kinds and frame.name != "universe")
+    for name in names:
+        if name not in known:
+            raise ModelError(str(path), "joints", repr(name), "a joint of the URDF", known)
+
+
 def _joints(
     data: _ElasticityFile, path: Path, model: Any, slides: Collection[str], paired: Collection[str]
 ) -> dict[str, JointElasticity]:
-    given = data.joints or {}
-    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    known = tuple(frame.name for frame in model.frames if frame.type in kinds and frame.name != "universe")
-    moving = list(model.names)[1:]
+    given, moving = data.joints or {}, list(model.names)[1:]
+    require_joints(given, model, path)
     for name in given:
-        if name not in known:
-            raise ModelError(str(path), "joints", repr(name), "a joint of the URDF", known)
         if name in slides:
             expected = "one that turns: below a lift base.tube or guardrail.stiffness of a scene gives way"
             raise ModelError(str(path), f"joints.{name}", "a joint that slides", expected)

@@ -30,6 +30,7 @@ from cmbot.robot.description.limits_file import (
     MoveItLimitsFile,
     read_joint_limits,
 )
+from cmbot.robot.elasticity import require_joints
 from cmbot.robot.joint_kinds import TURN, Coupling, JointUnits, joint_units, prismatic_joints
 
 ASSUMED_ACCELERATION = 2.0
@@ -194,6 +195,7 @@ def joint_limits(
     listed = JointLimitsFile(format="cmbot-joint-limits/1") if path is None else read_joint_limits(path)
     names, prismatic = list(model.names)[1:], prismatic_joints(model)
     if isinstance(listed, JointLimitsFile):
+        require_joints(listed.joints, model, path)
         _require_units(listed, names, prismatic, path)
     given = [listed.of(name, slides) for name, slides in zip(names, prismatic.tolist(), strict=True)]
     narrows = isinstance(listed, MoveItLimitsFile)

@@ -83,8 +83,7 @@ def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str,
         except SceneError as error:
             where = ".".join(filter(None, (f"{key}.waypoints", error.key)))
             placed = "xyz and rpy_deg of that frame, as a table has no other place" * (error.key == "frame")
-            choices = () if placed else error.choices
-            raise SceneError(source, where, error.got, placed or error.expected, choices) from error
+            raise SceneError(source, where, error.got, placed or error.expected, error.choices) from error
         path = _found(folder, source, given.file, f"{key}.waypoints")
         rows, seconds = read_waypoints(path, given, entry.get("keep"))
         timed = timed or bool({"seconds", "speed_m_s"} & entry.keys()) or seconds is None

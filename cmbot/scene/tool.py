@@ -17,7 +17,6 @@ SPEED_TOLERANCE = 0.05
 
 # The bound, 10 kN, catches millinewtons given for newtons.
 Force = Annotated[float, Field(ge=-1e4, le=1e4)]
-_AT_MOST_A_MINUTE = no_thousands(60.0, "at most 60 s: milliseconds")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class Tool(CheckedFields):
     """
 
     process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
-    process_ramp_s: Annotated[float, Field(ge=0, le=6e4), _AT_MOST_A_MINUTE] = 0.0
+    process_ramp_s: Annotated[float, Field(ge=0, le=6e4), no_thousands(60, "at most 60 s: ms")] = 0.0
     max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None
     tolerance: Tolerance | None = None
     contact_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0

@@ -533,6 +533,8 @@ def test_limits_of_ours_take_the_place_of_the_urdfs(tmp_path: Path) -> None:
         ModelError, match=r"joints.joint_1.velocity_m_s: got that key, expected velocity_deg: this"
     ):
         limited(tmp_path, "joints: {joint_1: {velocity_m_s: 1}}")
+    with pytest.raises(ModelError, match=r"joints: got 'joint1', expected a joint of the URDF \(one of: "):
+        limited(tmp_path, "joints: {joint1: {velocity_deg: 1}}")
 
 
 def test_what_an_arm_without_limits_is_assumed_to_do(tmp_path: Path) -> None:

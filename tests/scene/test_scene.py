@@ -299,6 +299,7 @@ WRONG = [
     ("guardrail.stiffness", SKEW, "not symmetric: [0][1] is 0.1, [1][0] 0", "symmetric positive definite"),
     ("guardrail.stiffness[0][1]", 1e15, "not positive definite", "symmetric", "guardrail.stiffness"),
     ("planner.solvr", "slsqp", "an unknown key", "did you mean solver?"),
+    ("tool.process_ramp_s", 800, "800.0", "at most 60 s: ms? then 0.8"),
     ("robot.urdf", "arm.urdf", "an unknown key", "did you mean model?"),
     ("planner.avoidance", "on", "'on'", "a known value"),
     ("planner.path_step_s", 0.2, "0.2", "at most 0.1"),

@@ -24,7 +24,7 @@ T = TypeVar("T")
 # Letters of a part by which a choice is found, and what close words have in common: more than three of five.
 _LEAST_PART, _LEAST_ALIKE = 4, 0.62
 # What others call what a file has.
-_SYNONYMS: Mapping[str, str] = {"urdf": "model"}
+_SYNONYMS: Mapping[str, str] = {"urdf": "model", "pos": "xyz", "position": "xyz"}
 # Keys of a mapping that a message names.
 _NAMED_KEYS = 3
 _MAX_SHOWN_CHARACTERS = 60
@@ -280,7 +280,9 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         expected = f"a known key{hint(loc[-1], keys)}"
         return error_type(source, key_path(loc), "an unknown key", expected, keys)
     if kind == "missing" and isinstance(loc[-1], str):
-        return error_type(source, key_path(loc), "nothing", _PHRASES[kind])
+        node = _schema_at(schema, loc)
+        allowed = tuple(filter(None, node.get("enum", [node.get("const")])))
+        return error_type(source, key_path(loc), "nothing", _PHRASES[kind], allowed)
     if kind == "missing":  # a list of fixed length that ends too early
         loc = loc[:-1]
     node, got = _schema_at(schema, loc), shown(detail["input"])
@@ -369,11 +371,11 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 def hint(word: object, choices: Sequence[str]) -> str:
     """Return ``; did you mean X?`` where a choice is close to `word` or has it, otherwise nothing."""
-    close = [each for each in choices if each == _SYNONYMS.get(str(word))]
-    close = close or difflib.get_close_matches(str(word), choices, n=1, cutoff=_LEAST_ALIKE)
-    if not close and len(str(word)) >= _LEAST_PART:
+    text = _SYNONYMS.get(str(word), str(word))
+    close = difflib.get_close_matches(text, choices, n=1, cutoff=_LEAST_ALIKE)
+    if not close and len(text) >= _LEAST_PART:
         # Of those that have it, the one that begins with it.
-        close = sorted((each for each in choices if str(word) in each), key=lambda each: each.find(str(word)))
+        close = sorted((each for each in choices if text in each), key=lambda each: each.find(text))
     return f"; did you mean {close[0]}?" if close else ""
 
 

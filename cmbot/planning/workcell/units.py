@@ -61,8 +61,8 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
     stiffness, mount, stance = scene.elastic_guardrail.stiffness, scene.robot.mount, scene.stance
     if stiffness is not None and np.diag(stiffness)[:3].max() < _SOFTEST_N_M:
         yield scene.softest_key, "N/mm", "N/m and Nm/rad"
-    foot = (0.0, 0.0, 0.0) if stance is None else stance.foot
-    far = _VAST + float(np.abs([foot, foot if mount is None else mount.xyz]).max())
+    stands = (*(stance.foot if stance else ()), *(mount.xyz if mount else ()), 0.0)
+    far = _VAST + max(map(abs, stands))
     for key, numbers in scene.numbers:
         size = np.abs(numbers)
         for pattern, units, is_suspect in _SUSPECTS:

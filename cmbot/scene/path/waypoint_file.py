@@ -82,7 +82,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     table = read_table(path, SceneError, kind="a table of waypoints", largest=_MAX_WAYPOINT_BYTES)
     table = replace(table, names=tuple(_plain_name(name) for name in table.names))
     if not (used := table.columns(_POSITION_COLUMNS)):
-        got = f"the columns {','.join(table.names)}" if table.names else "no names of columns"
+        got = f"the columns {','.join(table.names)}" if table.names else "no name for each column"
         raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_needed(keep)}")
     points = table.lengths(used, given.units)
     quaternions = _orientations(table, keep, used)
