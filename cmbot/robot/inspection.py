@@ -32,7 +32,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Number of values of each attribute and the largest magnitude of one, by element, in URDF's units: far beyond
 # any robot, but small enough that nothing made of them overflows. A range of positions may be "endless".
 _ATTRIBUTE_BOUNDS = {
-    "origin": {"xyz": (3, 1e4), "rpy": (3, 1e3)},
+    "origin": {"xyz": (3, 1e4), "rpy": (3, 25)},
     "mass": {"value": (1, 1e5)},
     "inertia": dict.fromkeys(_MOMENTS, (1, 1e9)),
     "box": {"size": (3, 1e4)},
@@ -206,8 +206,8 @@ def _numbers(key: str, text: str, count: int, most: float) -> Iterator[Finding]:
         if not all(0 <= float(word) <= most for word in words):
             yield error_of(key, shown(text), "4 numbers from 0 to 1")
     elif any(abs(float(word)) > most for word in words):
-        expected = f"{counted(count, 'finite number')} of at most {most:g}"
-        yield error_of(key, shown(text), expected)
+        unit = " rad (degrees?)" * key.endswith("rpy")
+        yield error_of(key, shown(text), f"{counted(count, 'finite number')} of at most {most:g}{unit}")
 
 
 def _materials(root: ElementTree.Element) -> Iterator[Finding]:

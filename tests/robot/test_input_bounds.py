@@ -167,7 +167,7 @@ def test_mirrored_meshes_and_slashes_in_front_of_packages(urdf_folder: Path) -> 
         ("inertia", "ixy", "-1e10", "1e+09"),
         ("origin", "xyz", "0 0 1e308", "10000"),
         ("origin", "xyz", "0 -10001 0", "10000"),
-        ("origin", "rpy", "1e4 0 0", "1000"),
+        ("origin", "rpy", "90 0 0", "25 rad (degrees?)"),
         ("cylinder", "radius", "1e9", "10000"),
         ("cylinder", "length", "1e9", "10000"),
         ("box", "size", "1 1 1e5", "10000"),
