@@ -222,10 +222,11 @@ def _require_planned(rankings: Sequence[StanceRanking], directory: Path) -> None
     try:
         cmbot.stances.require_planned(rankings)
     except PlanningError as error:
-        one, first = rankings[0], one_line(directory / "stance_1.yaml")
+        one, reasons = rankings[0], one_line(directory / _STANCE_FILES[0])
         if len(rankings) == 1 and one.closest_in_time and next(iter(one.waiting)).bound:
+            first, reasons = one_line(directory / "stance_1.yaml"), f"{_STANCE_FILES[0]} beside it"
             error.add_hint(f"cmbot plan {first} --set time_limit_s=600 judges the first")
-        error.add_hint(f"{one_line(directory / _STANCE_FILES[0])} has the reason of each")
+        error.add_hint(f"{reasons} has the reason of each")
         error.add_hint("cmbot plan of the scene judges its own stance alone, --on MEMBER seeks on fewer")
         raise
 

@@ -363,14 +363,14 @@ def test_a_search_that_ended_early_does_not_contradict_itself(ranking: StanceRan
     # What waits is told, and that more time would not find a better one.
     waiting = early.count("screened")
     assert f"Not judged to the end for want of time: {waiting}, {waiting} of them only screened; by" in said
-    assert "none of them is better than the best one" in said and "--time-limit or" not in said
+    assert "none of them is better than the best one" in said and "a longer --time-limit" not in said
     best = early.best
     least = 0.9 * best.value
     lower = tuple(replace(each, bound=least) if each.status == "screened" else each for each in early.ranked)
     said = " ".join(in_words(replace(early, ranked=lower)))
     assert "another one may be up to 10.0 % better." in said
     assert "kept, and others may be better" in said
-    assert f"by its bound {least:.4g} {early.unit}; a longer --time-limit or" in said
+    assert f"by its bound {least:.4g} {early.unit}; a longer --time-limit with" in said
 
 
 def test_the_best_of_one_is_not_called_the_best(ranking: StanceRanking) -> None:
