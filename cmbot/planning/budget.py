@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS, LESS_KEPT_RUNS, CANDIDATE_RUNS = 12, 24, 6, 3, 4
+RUNS, SHORTEST_TIME_RUNS, ADVICE_RUNS, LESS_KEPT_RUNS, CANDIDATE_RUNS = 12, 24, 6, 3, 3
 """Runs of optimise-and-certify at most: for a stroke of given seconds, for one with ``seconds: auto``, for
 the advice of a refusal, and for that to keep less of the tool's pose; of one of many stances, of which those
 that succeed took up to 3: there is another one to try."""
