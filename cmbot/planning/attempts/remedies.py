@@ -117,10 +117,11 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
             nearer = guess.asked(request)
-            if (last := failure.trajectory) is not None and request.cell.sag is None:
+            if (last := failure.trajectory) is not None:
                 # Where it ended is a little off what is asked now.
-                near = attempted(request, partial(problem_near, request, guess, last.q, near=last))
-                nearer = replace(guess, problem=near) if isinstance(near, TorqueProblem) else nearer
+                ended = replace(guess, optimised=True)
+                near = attempted(request, partial(problem_near, request, ended, last.q, near=last))
+                nearer = replace(ended, problem=near) if isinstance(near, TorqueProblem) else nearer
             yield from _changed(attempt, nearer, request=request)
 
 
