@@ -31,7 +31,7 @@ _ATTEMPTS_PER_PLAN = 2
 _CHART_ALLOWANCE = 1.05
 # Charts are by the sag, which plans minimise, too: of 12 stances for three jobs plans swayed by 0.81 to 1.58
 # times what their charts do.
-_SWAY_SHARE = 0.8
+_CHARTED_SWAY_SHARE = 0.8
 PROVEN_SHARE = 0.98
 """Share of the best value that others are proven not to undercut."""
 # Postures of the work in which sag and modes of a plan are computed.
@@ -140,7 +140,7 @@ class Judge:
         bound, expected = max(charted.bound, result.bound), max(charted.expected, least)
         if self.objective == "sway":
             expected = float(rows[0].max())
-            bound = max(result.bound, _SWAY_SHARE * expected)
+            bound = max(result.bound, _CHARTED_SWAY_SHARE * expected)
         bound = min(bound, expected)
         return replace(result, stage="charts", bound=bound, expected=expected, at_rest=at_rest)
 
