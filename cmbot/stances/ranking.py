@@ -36,6 +36,7 @@ from cmbot.stances.placed_scene import joined, put_away, scene_at, with_strokes
 from cmbot.stances.screening import Screener, Screening, times_of
 from cmbot.stances.search import (
     CHARTED,
+    PROVEN_SHARE,
     Ending,
     Progress,
     Rejection,
@@ -43,7 +44,7 @@ from cmbot.stances.search import (
     StandOptions,
     evaluate_stances,
 )
-from cmbot.stances.stages import PROVEN_SHARE, Judge, at_rest_of
+from cmbot.stances.stages import Judge, at_rest_of
 
 # For whose scenes alone steps are sought.
 _CLIMBER_WORDS = "the shipped robot, an arm on a climber that holds a guardrail"
@@ -408,10 +409,11 @@ class _Stand:
             suits=self._suits,
         )
         results = [self._screened(k, found, strokes) for k in range(len(self._candidates))]
+        proves = not scene.on_guardrail
         results = evaluate_stances(
-            results, judge.stages(), self._options, self._ending, progress, alone=not several
+            results, judge.stages(), self._options, self._ending, progress, alone=not several, proves=proves
         )
-        if not scene.on_guardrail:
+        if proves:
             times = np.array([times_of(task) for task in self._tasks])
             results = [*judge.proven(results, found, strokes, times, self._ending, progress)]
         return StanceRanking(

@@ -56,8 +56,11 @@ _FIRST_PLAN_S, _HASTENED_S, _BLOCKED_S, _NEAR_BLOCKED_M = 25.0, 60.0, 30.0, 0.1
 # Its candidates are taken in turn where these shares of the bounds are smaller: the least bounds are those of
 # folded arms near singularities, whose plans take long and fail; one that is stretched out is planned soon.
 _SHARES_BELOW = (0.9, 0.0, 0.75, 0.5)
-# Once enough are planned, only stances that may be better by more than this share are judged.
-_WORTHWHILE_GAIN = 0.05
+PROVEN_SHARE = 0.98
+"""Share of the best value that others are proven not to undercut."""
+# Once enough are planned, only stances that may be better by more than this share are judged; and where the
+# others' bounds are then proven, those that may be better by what a proof leaves open.
+_WORTHWHILE_GAIN, _OPEN_GAIN = 0.05, 1 - PROVEN_SHARE
 # So many stances are judged beside each other, however many processes do so: what is judged next depends on
 # results in their order alone, and not on how soon they come. Where time is short, as many as there are
 # processes.
@@ -345,6 +348,7 @@ def evaluate_stances(
     progress: Progress = lambda _step, _share: None,
     *,
     alone: bool = False,
+    proves: bool = False,
 ) -> list[StanceResult]:
     """Judge stances, and return them in the order in which they came.
 
@@ -363,8 +367,11 @@ def evaluate_stances(
         Takes what is done and the share of it.
     alone : bool
         Whether they are for all strokes: then the first plan is sought first where no own stance has one.
+    proves : bool
+        Whether it is then proven that others are no better.
     """
-    search = _Search(list(results), stages, options, ending, progress)
+    gain = _OPEN_GAIN if proves else _WORTHWHILE_GAIN
+    search = _Search(list(results), stages, options, ending, progress, gain)
     if options.plans:
         try:
             with Workers(options.jobs) as workers:
@@ -390,7 +397,9 @@ class _Search:
         options: StandOptions,
         ending: Ending,
         progress: Progress,
+        gain: float,
     ) -> None:
+        self._gain = gain
         self.results, self._stages = results, stages
         self._wanted, self._jobs = options.plans, options.jobs
         self._ending, self._progress = ending, progress
@@ -502,7 +511,7 @@ class _Search:
     @property
     def _enough(self) -> float:
         """Once enough are planned, only stances whose bound is below this are looked at."""
-        return np.inf if self._planned < self._wanted else (1 - _WORTHWHILE_GAIN) * self._best
+        return np.inf if self._planned < self._wanted else (1 - self._gain) * self._best
 
     @staticmethod
     def _is_near(each: StanceResult, places: Iterable[tuple[FloatArray, float]]) -> bool:

@@ -23,7 +23,7 @@ from cmbot.stances.candidates import AnyCandidate, Candidate, climber_in_the_way
 from cmbot.stances.charting import AtRest, bounded_quickly, chart, proven_bound
 from cmbot.stances.placed_scene import scene_at
 from cmbot.stances.screening import VIA_POINTS, Screener, Screening
-from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, StandOptions
+from cmbot.stances.search import PROVEN_SHARE, Ending, Rejection, Stage, StanceResult, StandOptions
 
 # Attempts to plan: so many times the number of plans wanted and one more.
 _ATTEMPTS_PER_PLAN = 2
@@ -32,8 +32,6 @@ _CHART_ALLOWANCE = 1.05
 # Charts are by the sag, which plans minimise, too: of 12 stances for three jobs plans swayed by 0.81 to 1.58
 # times what their charts do.
 _CHARTED_SWAY_SHARE = 0.8
-PROVEN_SHARE = 0.98
-"""Share of the best value that others are proven not to undercut."""
 # Postures of the work in which sag and modes of a plan are computed.
 _SAGS, _MODES = 61, 5
 # Postures of a job between which the joints' travel is measured.

@@ -11,8 +11,7 @@ from cmbot.scene import FootholdFile
 from cmbot.stances.bounds import COLUMNS, NO_FIGURES
 from cmbot.stances.candidates import Candidate
 from cmbot.stances.ranking import StanceRanking
-from cmbot.stances.search import STATUSES, StanceResult
-from cmbot.stances.stages import PROVEN_SHARE
+from cmbot.stances.search import PROVEN_SHARE, STATUSES, StanceResult
 
 _Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 

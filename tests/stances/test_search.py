@@ -153,6 +153,28 @@ def test_without_a_plan_of_the_own_stance_the_first_one_comes_before_better_ones
     assert now[0] <= 60.0
 
 
+@pytest.mark.parametrize(("proves", "planned"), [(False, [0, 1]), (True, [0, 1, 2, 3])])
+def test_where_bounds_are_proven_all_that_a_proof_leaves_open_are_planned(
+    proves: bool, planned: list[int]
+) -> None:
+    """Bounds of 100 to 106 of which plans reach 104 and more: by the others 4, 3 and 1 % may be gained."""
+
+    def plan(result: StanceResult, ending: Ending) -> StanceResult:
+        made: Any = SimpleNamespace()
+        return replace(result, stage="plan", plan=made, value=104.0 + result.number)
+
+    results = []
+    for number, bound in enumerate((100.0, 100.5, 101.0, 101.5, 103.0, 106.0)):
+        base = np.eye(4)
+        base[0, 3] = number
+        candidate: Any = SimpleNamespace(base=base, place=f"place {number}")
+        results.append(StanceResult(candidate=candidate, number=number, stage="charts", bound=bound))
+    stages = (Stage(name="plan", judge=plan, most=8, step=""),)
+    options, ending = StandOptions(plans=2), Ending(limit=np.inf)
+    found = evaluate_stances(results, stages, options, ending, proves=proves)
+    assert [each.number for each in found if each.status == "planned"] == planned
+
+
 def test_what_rules_out_those_judged_with_obstacles_is_told_beside_what_rules_out_more() -> None:
     def rejected(stage: Any, cause: str) -> StanceResult:
         candidate: Any = SimpleNamespace(place="", base=np.eye(4))
