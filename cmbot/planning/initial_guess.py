@@ -335,6 +335,12 @@ def problem_near(
     return TorqueProblem(request, form, least, optimised=guess.optimised)
 
 
+def guess_along(request: StrokeRequest, guess: InitialGuess, optimised: QuinticTrajectory) -> InitialGuess:
+    """Return the guess that goes on from where an optimisation ended; errors as `problem_near`."""
+    ended = replace(guess, optimised=True)
+    return replace(ended, problem=problem_near(request, ended, optimised.q, near=optimised))
+
+
 def searched(
     request: StrokeRequest, bounded_as: GlobalSearch | None = None
 ) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:

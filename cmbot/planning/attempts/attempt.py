@@ -15,6 +15,7 @@ from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import (
     InitialGuess,
+    guess_along,
     initial_guess,
     leap_failure,
     least_travel_guess,
@@ -110,9 +111,8 @@ class Attempt:
         if guess.search is not None:
             optimised = attempted(request, lambda: optimise(guess.problem))
             if isinstance(optimised, Optimised) and optimised.failure is None:
-                unshaped, settled = optimised.trajectory, replace(guess, optimised=True)
-                problem = problem_near(request, settled, unshaped.q, near=unshaped)
-                own = replace(self, guess=replace(settled, problem=problem))
+                unshaped = optimised.trajectory
+                own = replace(self, guess=guess_along(request, guess, unshaped))
 
         def simulated(laws: tuple[LegLaw, ...]) -> FloatArray:
             timed = own.in_timing(Timing.along(request, unshaped, (), laws))

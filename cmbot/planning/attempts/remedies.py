@@ -37,15 +37,14 @@ from cmbot.planning.free_motion.approach import joined_starts, reachable
 from cmbot.planning.initial_guess import (
     SMOOTHER,
     InitialGuess,
+    guess_along,
     initial_guess,
     leap,
-    problem_near,
     roughness,
     searched,
     sliding_guess,
     solved,
 )
-from cmbot.planning.torque import TorqueProblem
 from cmbot.scene import MOST_SAMPLES
 
 AnyTrial = Trial[Attempt, Any]
@@ -116,12 +115,10 @@ def _nearer_tool(trial: AnyTrial) -> Iterator[Attempt]:
             request = replace(attempt.request, tool_share=share)
             request.reporter.stage("path")
             request.reporter.step(f"the tool is off by {ratio:.3g} times its bound; planning nearer")
-            nearer = guess.asked(request)
-            if (last := failure.trajectory) is not None:
-                # Where it ended is a little off what is asked now.
-                ended = replace(guess, optimised=True)
-                near = attempted(request, partial(problem_near, request, ended, last.q, near=last))
-                nearer = replace(ended, problem=near) if isinstance(near, TorqueProblem) else nearer
+            last = failure.trajectory
+            # Where it ended is a little off what is asked now.
+            near = None if last is None else attempted(request, partial(guess_along, request, guess, last))
+            nearer = near if isinstance(near, InitialGuess) else guess.asked(request)
             yield from _changed(attempt, nearer, request=request)
 
 

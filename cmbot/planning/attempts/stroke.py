@@ -164,10 +164,8 @@ def _bounded(trial: Trial[Attempt, StrokeMotion]) -> Trial[Attempt, StrokeMotion
     if trial.attempt.timing is None or not isinstance(trial.outcome, Solved):
         return trial
     motion = trial.result
-    if motion.guess.search is None or motion.request.cell.options.objective == "travel":
-        return trial
-    search = trial.attempt.search
-    if search is None:
+    is_bounded = motion.guess.search is not None and motion.request.cell.options.objective != "travel"
+    if not is_bounded or (search := trial.attempt.search) is None:
         return trial
     guess = replace(motion.guess, lower_bound=search.lower_bound, search=search)
     return replace(trial, outcome=Solved(result=replace(motion, guess=guess)))
