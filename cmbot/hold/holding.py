@@ -102,7 +102,8 @@ class Holding:
     def __init__(self, feet: Sequence[Foot], constant: FloatArray) -> None:
         self.feet = tuple(feet)
         self._constant = constant
-        self._last: tuple[object, FloatArray, FloatArray] | None = None
+        # Wrenches and factors, above what the values are exact, these, and their gradients.
+        self._last: tuple[object, FloatArray, FloatArray, FloatArray] | None = None
 
     @property
     def flat(self) -> tuple[int, ...]:
@@ -329,15 +330,15 @@ class Holding:
     ) -> tuple[FloatArray, FloatArray]:
         """Largest adhesion needed (N,) of feet, each times its factor, and its gradients (N, 6).
 
-        Objective and bounds ask for it of the same wrenches, one after the other: what is exact is kept.
+        Objective and bounds ask for it of the same wrenches, one after the other: what was found is kept.
         """
         value, gradient = np.zeros(len(wrench)), np.zeros((len(wrench), 6))
         if not factors:
             return value, gradient
         unit = max(factors.values())
         key = wrench.shape, wrench.tobytes(), tuple((k, factor / unit) for k, factor in factors.items())
-        if self._last is None or self._last[0] != key:
-            above = np.broadcast_to(above, len(wrench))
+        above = np.broadcast_to(above, len(wrench))
+        if self._last is None or self._last[0] != key or (self._last[1] > above / unit).any():
             feet, loads = {k: self.feet[k] for k in factors}, {k: self.load(k, wrench) for k in factors}
             kinds = {k: (foot.contact, foot.friction, foot.gap) for k, foot in feet.items()}
             for kind in {*kinds.values()}:
@@ -351,10 +352,8 @@ class Holding:
                     more = factor * needed > value
                     value[more] = factor * needed[more]
                     gradient[more] = factor * by_load[more] @ feet[k].from_wrench
-            if np.isfinite(above).any():
-                return unit * value, unit * gradient
-            self._last = key, value, gradient
-        return unit * self._last[1], unit * self._last[2]
+            self._last = key, above / unit, value, gradient
+        return unit * self._last[2], unit * self._last[3]
 
     def use(self, number: int, wrench: FloatArray) -> FloatArray:
         """Return the largest share (N,) of a clamp's bounds that its load uses, safety included."""

@@ -178,6 +178,21 @@ def test_gradients(foot: Foot, rng) -> None:
         np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=1e-4)
 
 
+def test_what_is_kept_of_the_last_wrenches_is_exact_above_what_is_asked(rng: np.random.Generator) -> None:
+    """Whatever was asked before, by the objective or by the bound of an adhesion."""
+    wrench, feet = rng.normal(size=(60, 6)) * [500, 500, 500, 50, 50, 50], [FOOT, replace(FOOT, safety=3.0)]
+    needed = Holding(feet, np.zeros(6))(wrench)[0]
+    share = Holding(feet, np.zeros(6)).share(wrench)[0]
+    kept, levels = Holding(feet, np.zeros(6)), np.quantile(needed, [0.9, 0.2, 0.5, 0.0])
+    for level in (*levels, -np.inf, *levels):
+        least = level * feet[1].safety / (feet[1].adhesion or 1.0)
+        for found, exact, above in (
+            (kept(wrench, level), needed, level),
+            (kept.share(wrench, least), share, least),
+        ):
+            np.testing.assert_allclose(np.maximum(found[0], above), np.maximum(exact, above), rtol=1e-9)
+
+
 @pytest.mark.parametrize("gap", ["none", "allowed"])
 def test_what_a_contact_that_is_pressed_all_over_needs_is_near_and_has_a_gradient(
     gap: Gap, rng: np.random.Generator
