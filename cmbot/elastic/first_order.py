@@ -301,20 +301,19 @@ class FirstOrder:
         )
 
 
-class DeckSway:
-    """How far an arm's tool sways by 1 m/s2 of its deck: a function of the posture alone.
+class StandingArm:
+    """An arm to first order where it stands; mass of the guardrail that moves with the foot is left out.
 
     Parameters
     ----------
     arm : ElasticArm
-        Where it stands; mass of the guardrail that moves with the foot is left out.
     """
 
     def __init__(self, arm: ElasticArm) -> None:
         robot = arm.robot
-        self._damping = robot.damping_ratio
         carrier = robot.model.inertias[0]
         self._first = FirstOrder(elastic_arm(robot, None, arm.options))
+        self._gravity = arm.model.gravity.linear
         self._base = Bases(
             foot=np.array(robot.foot_point)[None],
             stiffness=None if arm.base is None else arm.base.stiffness[None],
@@ -322,11 +321,36 @@ class DeckSway:
             carrier_centre=np.array(carrier.lever)[None],
         )
 
-    def values(self, q: FloatArray) -> FloatArray:
-        """Return root mean squares (N,), m, in postures (N, n), as `FirstOrderBatch.shaken` has them."""
-        return self._first.at(q, _some(self._base, np.zeros(len(q), dtype=int))).shaken(
-            self._damping, BAND_HZ
-        )
+    def at(self, q: FloatArray) -> FirstOrderBatch:
+        """Evaluate postures `q` (N, n)."""
+        return self._first.at(q, self._bases(q))
+
+    def sag(self, q: FloatArray) -> FloatArray:
+        """Return the displacements of the tool (N, 3), m, by the weights alone, in postures `q` (N, n)."""
+        return self._first.sag(q, self._bases(q), np.tile(self._gravity, (len(q), 1)))
+
+    def _bases(self, q: FloatArray) -> Bases:
+        return _some(self._base, np.zeros(len(q), dtype=np.intp))
+
+
+class DeckSway:
+    """How far an arm's tool sways by 1 m/s2 of its deck: a function of the posture alone.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+        Where it stands.
+    """
+
+    def __init__(self, arm: ElasticArm) -> None:
+        self._damping, self._arm = arm.robot.damping_ratio, StandingArm(arm)
+
+    def values(self, q: FloatArray, above: float = -np.inf) -> FloatArray:
+        """Return root mean squares (N,), m, in postures (N, n), as `FirstOrderBatch.shaken` has them.
+
+        All are exact, whether `above` it or not.
+        """
+        return self._arm.at(q).shaken(self._damping, BAND_HZ)
 
     def __call__(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
         """Return them, and their gradients (N, n), by differences."""

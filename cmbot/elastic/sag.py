@@ -6,6 +6,7 @@ Its derivatives are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.first_order import StandingArm
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics
 
@@ -23,6 +25,8 @@ _MAX_NEWTON_STEPS, _NEWTON_TOLERANCE = 30, 1e-7
 _MAX_FIXED_STIFFNESS_STEPS, _FIXED_STIFFNESS_TOLERANCE = 15, 1e-11
 # Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
 _MAX_POSTURE_INTERVAL_S = 0.02
+# By this share of itself a distance to first order, scaled to be exact where it is largest, is believed.
+_FIRST_ORDER_ERROR = 0.005
 # Below this length, m, the gradient of a length is taken as zero.
 _ZERO_LENGTH_M = 1e-12
 
@@ -161,9 +165,26 @@ class Sag:
         unit = at.tool / np.maximum(length, _ZERO_LENGTH_M)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
 
-    def distance(self, q: FloatArray) -> FloatArray:
-        """Return the distances (N,), m, of `length`, without gradients: quicker."""
-        return np.asarray(np.linalg.norm(self.following(q), axis=1))
+    def distance(self, q: FloatArray, above: float = -np.inf) -> FloatArray:
+        """Return the distances (N,), m, of `length`, without gradients: quicker.
+
+        What is not above `above` is known to about 1 %: it is that of first order, in units of the largest.
+        """
+        if not np.isfinite(above) or self.arm.robot.pushed or not self.arm.elastic.size or not len(q):
+            return np.asarray(np.linalg.norm(self.following(q), axis=1))
+        value = np.linalg.norm(self._first_order.sag(q), axis=1)
+        largest = [int(value.argmax())]
+        value *= self.distance(q[largest])[0] / max(float(value[largest[0]]), _ZERO_LENGTH_M)
+        near = value > (1 - 2 * _FIRST_ORDER_ERROR) * above
+        exact = self.distance(q[near])
+        if (np.abs(value[near] - exact) > _FIRST_ORDER_ERROR * exact).any():
+            return self.distance(q)
+        value[near] = exact
+        return np.asarray(value)
+
+    @cached_property
+    def _first_order(self) -> StandingArm:
+        return StandingArm(self.arm)
 
     def equilibria(
         self, q: FloatArray, start: FloatArray | None = None

@@ -195,6 +195,21 @@ def test_postures_that_follow_on_one_another(shipped_arm: ElasticArm, rng: np.ra
         np.testing.assert_allclose(sag.following(q), sag.at(q).tool, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("share", [0.9, 0.98, 1.0])
+def test_distances_above_a_threshold_are_exact(
+    shipped_arm: ElasticArm, rng: np.random.Generator, share: float
+) -> None:
+    """And no other one is said to be above it."""
+    sag, q = Sag(shipped_arm), np.linspace(*rng.uniform(-1, 1, (2, 7)), 300)
+    exact = sag.distance(q)
+    above = share * float(exact.max())
+    known = sag.distance(q, above)
+    assert exact[exact > above] == pytest.approx(known[exact > above], rel=1e-9)
+    assert (known[exact <= above] <= above * (1 + 1e-9)).all()
+    assert np.abs(known / exact - 1).max() < 0.01
+    assert (known != exact).any()
+
+
 def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (2, 7))
     for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):

@@ -137,24 +137,27 @@ PostureFunction = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, kw_only=True)
 class PostureObjective:
-    """A function of the posture alone, moving or at rest; `value`: the same without its gradient."""
+    """A function of the posture alone, moving or at rest.
+
+    `value`: the same without its gradient, from postures and what it need not be exact below.
+    """
 
     function: PostureFunction
     name: str
     unit: str
-    value: Callable[[FloatArray], FloatArray] | None = None
+    value: Callable[[FloatArray, float], FloatArray] | None = None
     reported: bool = False
 
-    def _value(self, q: FloatArray) -> FloatArray:
-        return self.function(q)[0] if self.value is None else self.value(q)
+    def _value(self, q: FloatArray, above: float = -np.inf) -> FloatArray:
+        return self.function(q)[0] if self.value is None else self.value(q, above)
 
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) in N postures."""
         return self._value(postures.q)
 
     def values(self, states: StateSamples, above: float = -np.inf) -> FloatArray:
-        """Return its values (N,) at N states."""
-        return self._value(states.q)
+        """Return its values (N,) at N states; what is not above `above` need not be exact."""
+        return self._value(states.q, above)
 
     def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
