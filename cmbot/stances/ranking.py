@@ -19,6 +19,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import CmbotError, InputError, PlanningError, SceneError
 from cmbot.common.reading.validation import counted, shown
 from cmbot.common.representation import ShortRepr
+from cmbot.common.workers import Workers
 from cmbot.planning import FEET, precheck_scene, robot_of, strokes_of, task_of
 from cmbot.scene import Scene
 from cmbot.stances.bounds import UNITS, SagLimit, StanceObjective
@@ -251,8 +252,8 @@ def stand(
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
     for one in scenes:
         require_standing(one, options.members)
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _Stand(scenes, options, progress, suits).ranked()
+    with threadpool_limits(limits=1, user_api="blas"), Workers(options.jobs) as workers:
+        return _Stand(scenes, options, progress, suits, workers).ranked()
 
 
 class _Stand:
@@ -264,7 +265,9 @@ class _Stand:
         options: StandOptions,
         progress: Progress,
         suits: Callable[[AnyCandidate], str | None],
+        workers: Workers,
     ) -> None:
+        self._workers = workers
         scene, self._options, self._progress, self._suits = joined(scenes), options, progress, suits
         planned = scene.planner.objective
         self._objective: StanceObjective = options.objective or ("torque" if planned == "travel" else planned)
@@ -334,7 +337,7 @@ class _Stand:
             k: why for k, why in self._screener.unheld().items() if self._candidates[k] not in self._own
         }
         found = self._screener.screened(
-            self._tasks, lambda share: self._progress(said, share), [*self._unheld]
+            self._tasks, lambda share: self._progress(said, share), [*self._unheld], self._workers
         )
         found.figures[0] = np.maximum(found.bound, self._screener.least)
         bound = np.array([found.bound[each].max(axis=0, initial=-np.inf) for each in self._of])
@@ -411,7 +414,14 @@ class _Stand:
         results = [self._screened(k, found, strokes) for k in range(len(self._candidates))]
         proves = not scene.on_guardrail
         results = evaluate_stances(
-            results, judge.stages(), self._options, self._ending, progress, alone=not several, proves=proves
+            results,
+            judge.stages(),
+            self._options,
+            self._ending,
+            progress,
+            self._workers,
+            alone=not several,
+            proves=proves,
         )
         if proves:
             times = np.array([times_of(task) for task in self._tasks])

@@ -19,6 +19,7 @@ from itertools import product
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.workers import Workers
 from cmbot.planning import FEET, ToolTask
 from cmbot.robot import Robot
 from cmbot.scene import STOW, Scene
@@ -169,11 +170,13 @@ class Screener:
         tasks: Sequence[ToolTask],
         report: Callable[[float], None] = lambda _: None,
         left_out: Sequence[int] = (),
+        workers: Workers | None = None,
     ) -> Screening:
         """Screen them for the tasks (S) of strokes, in W; `report` takes the share that is done.
 
-        Of the numbers that are `left_out` no postures are sought.
+        Of the numbers that are `left_out` no postures are sought. The `workers` do so beside each other.
         """
+        workers = workers or Workers(1)
         shape = len(tasks), len(self._bases)
         within = np.array([_within_reach(task, self._bases, self._robot) for task in tasks]).reshape(shape)
         figures, worst = np.full((len(FIGURES), *shape), np.nan), np.zeros(shape, dtype=np.intp)
@@ -187,11 +190,11 @@ class Screener:
 
             left = np.flatnonzero(within[s] & kept)
             if len(left):
-                figures[:, s, left], worst[s, left] = self._bounded(task, left, told)
+                figures[:, s, left], worst[s, left] = self._bounded(task, left, told, workers)
         return Screening(within_reach=within, figures=figures, via_point=worst)
 
     def _bounded(
-        self, task: ToolTask, number: IntArray, report: Callable[[float], None]
+        self, task: ToolTask, number: IntArray, report: Callable[[float], None], workers: Workers
     ) -> tuple[FloatArray, IntArray]:
         """Figures (8, C) where, over the via-points, what is ranked is largest, and the via-points (C,).
 
@@ -201,10 +204,11 @@ class Screener:
         every = np.arange(C)
         found = np.full((len(FIGURES), K, C), np.nan)
         found[0] = 0.0
-        for k in range(K):
+        calls = [workers.call(self._least, task, k, number, ROUGHLY) for k in range(K)]
+        for k, call in enumerate(calls):
             if self._late():
                 break
-            rough = self._least(task, k, number, ROUGHLY)
+            rough = call.result()
             found[:, k, : rough.shape[1]] = rough
             report(_ROUGH_TIME_SHARE * (k + 1) / K)
         # Without a posture at half of the via-points it is left at that.
@@ -218,9 +222,10 @@ class Screener:
             open_ = ~closely[worst, every] & ((value <= _PROMISING_RATIO * least) | np.isinf(value))
             if self._late() or not open_.any():
                 return found[:, worst, every], worst
-            for k in range(K):
-                some = np.flatnonzero(open_ & (worst == k))
-                again = self._least(task, k, number[some], CLOSELY)
+            each = [np.flatnonzero(open_ & (worst == k)) for k in range(K)]
+            calls = [workers.call(self._least, task, k, number[some], CLOSELY) for k, some in enumerate(each)]
+            for k, (some, call) in enumerate(zip(each, calls, strict=True)):
+                again = call.result()
                 some = some[: again.shape[1]]
                 better = again[0] < found[0, k, some]
                 found[:, k, some[better]] = again[:, better]

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import (
     CmbotError,
     InputError,
@@ -346,6 +346,7 @@ def evaluate_stances(
     options: StandOptions,
     ending: Ending,
     progress: Progress = lambda _step, _share: None,
+    workers: Workers | None = None,
     *,
     alone: bool = False,
     proves: bool = False,
@@ -365,6 +366,8 @@ def evaluate_stances(
     ending : Ending
     progress : callable
         Takes what is done and the share of it.
+    workers : Workers, optional
+        Judge stances beside each other.
     alone : bool
         Whether they are for all strokes: then the first plan is sought first where no own stance has one.
     proves : bool
@@ -374,12 +377,11 @@ def evaluate_stances(
     search = _Search(list(results), stages, options, ending, progress, gain)
     if options.plans:
         try:
-            with Workers(options.jobs) as workers:
-                search.plan_own()
-                own = [each for each in search.results if each.own]
-                if alone and own and all(each.figures is NO_FIGURES for each in own):
-                    ending.hasten(_BLOCKED_S)
-                search.run(workers)
+            search.plan_own()
+            own = [each for each in search.results if each.own]
+            if alone and own and all(each.figures is NO_FIGURES for each in own):
+                ending.hasten(_BLOCKED_S)
+            search.run(workers or Workers(1))
         except KeyboardInterrupt:
             if not ending.keeps:
                 raise
@@ -401,6 +403,7 @@ class _Search:
     ) -> None:
         self._gain = gain
         self.results, self._stages = results, stages
+        self._bases = np.array([each.candidate.base[:3, 3] for each in results])
         self._wanted, self._jobs = options.plans, options.jobs
         self._ending, self._progress = ending, progress
         self._done = Counter[StageName]()
@@ -430,7 +433,9 @@ class _Search:
             elif self._bounded or self._plans:
                 # Plans take long: that of one is waited for where nothing else is left to do.
                 k, stage, call = (self._bounded or self._plans).popleft()
-                if self._is_wanted(k):
+                if self._near([k], self._failures).any():
+                    self._later.append(k)
+                elif self._is_wanted(k):
                     self._take(k, stage, call.result())
             else:
                 break
@@ -442,7 +447,7 @@ class _Search:
     def _judge(self, k: int, stage: Stage, workers: Workers) -> None:
         """Have a stage judge a stance, unless that is put off or given up."""
         each, last = replace(self.results[k], rejection=None), stage is self._stages[-1]
-        if stage is not self._stages[0] and self._is_near(each, self._failures):
+        if stage is not self._stages[0] and self._near([k], self._failures).any():
             # It most likely fails for the same reason: others come first.
             self._later.append(k)
             return
@@ -492,8 +497,12 @@ class _Search:
         if not self._waiting and not judged:
             self._waiting, self._later, self._failures = self._later, [], []
         self._waiting = [k for k in self._waiting if self._is_wanted(k)]
-        here = [(self.results[k].candidate.base[:3, 3], self._near_m(stage)) for k, stage, _ in judged]
-        able = sorted((k for k in self._waiting if not self._is_near(self.results[k], here)), key=self._order)
+        here = [(self._bases[k], self._near_m(stage)) for k, stage, _ in judged]
+        far = (~self._near(self._waiting, here)).tolist()
+        able = sorted((k for k, is_far in zip(self._waiting, far, strict=True) if is_far), key=self._order)
+        if not able and not self._bounded:
+            # Beside a plan nothing else is left to do but another one.
+            able = sorted((k for k in self._waiting if self._stage(k) is self._stages[-1]), key=self._order)
         if not able:
             return None
         if self._ending.hastens and self._stage(able[0]) is self._stages[0]:
@@ -513,10 +522,12 @@ class _Search:
         """Once enough are planned, only stances whose bound is below this are looked at."""
         return np.inf if self._planned < self._wanted else (1 - self._gain) * self._best
 
-    @staticmethod
-    def _is_near(each: StanceResult, places: Iterable[tuple[FloatArray, float]]) -> bool:
-        base = each.candidate.base[:3, 3]
-        return any(np.linalg.norm(base - other) < near for other, near in places)
+    def _near(self, numbers: Sequence[int], places: Iterable[tuple[FloatArray, float]]) -> BoolArray:
+        """Which stances of these numbers have their base near one of the places, each within so many m."""
+        bases, found = self._bases[numbers], np.zeros(len(numbers), dtype=np.bool_)
+        for place, near in places:
+            found |= np.linalg.norm(bases - place, axis=1) < near
+        return found
 
     def _near_m(self, stage: Stage) -> float:
         """How near a base most likely fails in a stage for the same reason, m."""
@@ -542,4 +553,4 @@ class _Search:
             self._ending.hastens = False
         elif rejection is not None and not result.own and rejection.kind != "beyond a bound":
             # A little further on what is bounded may be less; and only the scene's own has its start posture.
-            self._failures.append((result.candidate.base[:3, 3], self._near_m(stage)))
+            self._failures.append((self._bases[k], self._near_m(stage)))

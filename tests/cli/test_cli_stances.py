@@ -157,9 +157,14 @@ STOPS = """
 import os, signal
 import cmbot.common.workers as workers
 import cmbot.stances.stages as stages
+from cmbot.stances.search import StanceResult
 def stopped(*_):
     os.kill(os.getpid(), signal.SIGINT)
-stages.bounded_quickly = workers._result = stopped
+result = workers._result
+def judged(called):
+    found = result(called)
+    return stopped() if isinstance(found, StanceResult) else found
+stages.bounded_quickly, workers._result = stopped, judged
 from cmbot.cli import take_signals
 take_signals()
 """

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cmbot.common.errors import PathNotFound, PlanningError
+from cmbot.common.workers import Workers
 from cmbot.stances import StanceRanking, StandOptions, in_words, require_planned
 from cmbot.stances.search import Ending, Rejection, Stage, StanceResult, evaluate_stances
 
@@ -173,6 +174,34 @@ def test_where_bounds_are_proven_all_that_a_proof_leaves_open_are_planned(
     options, ending = StandOptions(plans=2), Ending(limit=np.inf)
     found = evaluate_stances(results, stages, options, ending, proves=proves)
     assert [each.number for each in found if each.status == "planned"] == planned
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_stances_beside_each_other_are_planned_at_once_where_no_others_are_left(fails: bool) -> None:
+    """Where the first one fails the other one is planned after all others, for the same reason."""
+    had, beside = list[str](), Workers(1)
+
+    def plan(result: StanceResult, ending: Ending) -> StanceResult:
+        had.append(f"planned {result.number}")
+        if fails and result.number == 0:
+            return result.rejected("plan", Rejection(kind="failed", reason="none", cause="none"))
+        made: Any = SimpleNamespace()
+        return replace(result, stage="plan", plan=made, value=200.0)
+
+    class Recorded(Workers):
+        def call(self, function: Any, /, *args: Any, **kwargs: Any) -> Any:
+            had.append(f"sent {args[0].number}")
+            return beside.call(function, *args, **kwargs)
+
+    results = []
+    for number in range(2):
+        base = np.eye(4)
+        base[0, 3] = 0.1 * number
+        candidate: Any = SimpleNamespace(base=base, place=f"place {number}")
+        results.append(StanceResult(candidate=candidate, number=number, stage="charts", bound=100.0))
+    stages = (Stage(name="plan", judge=plan, most=8, step=""),)
+    evaluate_stances(results, stages, StandOptions(plans=2), Ending(limit=np.inf), workers=Recorded(1))
+    assert had == ["sent 0", "sent 1", "planned 0", *(["sent 1"] if fails else []), "planned 1"]
 
 
 def test_what_rules_out_those_judged_with_obstacles_is_told_beside_what_rules_out_more() -> None:
