@@ -13,7 +13,14 @@ from cmbot.planning.attempts.attempt import Attempt, agenda_of
 from cmbot.planning.attempts.failure import Failure, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of, with_way
 from cmbot.planning.attempts.remedies import REMEDIES, WAYS
-from cmbot.planning.budget import ADVICE_RUNS, LESS_KEPT_RUNS, RUNS, SHORTEST_TIME_RUNS, Budget
+from cmbot.planning.budget import (
+    ADVICE_RUNS,
+    CANDIDATE_RUNS,
+    LESS_KEPT_RUNS,
+    RUNS,
+    SHORTEST_TIME_RUNS,
+    Budget,
+)
 from cmbot.planning.initial_guess import InitialGuess, guess_near, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
@@ -139,8 +146,11 @@ def _sways_more(trial: Trial[Attempt, StrokeMotion]) -> bool:
     """
     if not isinstance(trial.outcome, Solved):
         return True
-    unshaped = trial.result.work.unshaped(trial.attempt.request.stroke.file)
-    return unshaped is not None and _sway(trial) > _MORE * sum(trial.attempt.request.cell.sway_of(unshaped))
+    request = trial.attempt.request
+    if request.most_runs <= CANDIDATE_RUNS:
+        return False  # of one of many stances it is enough to know what a motion asks
+    unshaped = trial.result.work.unshaped(request.stroke.file)
+    return unshaped is not None and _sway(trial) > _MORE * sum(request.cell.sway_of(unshaped))
 
 
 def searched_motion(
