@@ -283,6 +283,14 @@ def straight(x: QuinticTrajectory, seconds: float) -> QuinticTrajectory:
     )
 
 
+def at_once(x: QuinticTrajectory, ramp: float = 0.4) -> QuinticTrajectory:
+    """A free move that stands at its end in place of its beginning."""
+    goes = x.t > ramp + 1e-9
+    t = np.concatenate([[0.0], x.t[goes] - ramp, [x.t[-1]]])
+    q, v, a = (np.vstack([part[:1], part[goes], part[-1:]]) for part in (x.q, x.v, x.a))
+    return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
+
 def detour(x: QuinticTrajectory, joint: int, size: float) -> QuinticTrajectory:
     """A free move by way of elsewhere, slowly."""
     u = np.linspace(0, 1, len(x.t))
@@ -339,6 +347,7 @@ def _motions() -> Iterator[tuple[str, str, Make]]:
     yield "a return through the rail", "strokes", moved(lambda x: detour(x, 1, -1.2), "return")
     yield "a return half way", "strokes", moved(lambda x: bump(x, 1, 0.2, slice(-1, None)), "return")
     yield "a free move that swings into the bar", "bar", moved(lambda x: bump(x, 0, 0.12))
+    yield "a return that sets off at once", "ramp", moved(at_once, "return")
     yield "a motion after the end", "short", _knots(_after_the_end)
 
 

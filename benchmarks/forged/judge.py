@@ -43,6 +43,7 @@ def _faults(scene: Scene, folder: Path) -> Iterator[str]:
         for k in range(len(scene.strokes))
     ]
     yield from _ends(scene, q, v, told)
+    ramp = scene.tool.process_ramp_s
     number, worst = 0, {"peak_guardrail_torque": 0.0, "min_clearance": np.inf, "max_tool_deviation": 0.0}
     strokes = [each for each in told["segments"] if each["kind"] == "stroke"]
     if len(strokes) != len(paths):
@@ -68,6 +69,11 @@ def _faults(scene: Scene, folder: Path) -> Iterator[str]:
         clearance = _clearance(scene, body, x[:: SAMPLES // DISTANCES])
         if clearance < options.safety_margin_m - LENGTH:
             yield f"{segment['name']}: clearance {clearance:.4f} m"
+        beside = [segment["name"] != "approach", segment["name"] != "return"]
+        for rest, since, stands in zip(x[[0, -1]], (times[0], times[-1] - ramp), beside, strict=True):
+            turned = np.abs(motion(since + np.linspace(0, ramp, SAMPLES)) - rest).max()
+            if not works and stands and turned > 1e-6:
+                yield f"{segment['name']}: {turned:.3g} rad while the force sets in or ends"
         away = 0.0
         if works and number < len(paths):
             away, sentences = _tool(scene, paths[number], scene.strokes[number].keep, body, x, rates, times)

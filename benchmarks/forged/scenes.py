@@ -109,6 +109,7 @@ BASES: dict[str, Data] = {
         },
     ),
 }
+BASES["ramp"] = _of("ramp", {"tool.process_ramp_s": 0.4}, BASES["strokes"])
 """Scenes that are asked for and can be planned, by their names."""
 ROOM = Path(tempfile.gettempdir()) / "cmbot_forgeries"
 ROOM.mkdir(exist_ok=True)

@@ -291,7 +291,7 @@ class VerifyCommand(Reporting):
             second = f"The second engine, {name}, was asked."
             missing = f"The second engine was not asked: {MissingExtra(name, 'verify')}."
             if others := "; ".join(verdict.other_options):
-                print_lines([f"Options other than asked: {others}."])
+                print_lines([f"Options other than asked, as the folder states them: {others}."])
             out.print("Certified anew, and computed a second time at 300 states of each motion.")
             print_lines(["Not verified:", *(f"- {each}" for each in verdict.not_verified or ["nothing"])])
             out.print(second if asked else missing)

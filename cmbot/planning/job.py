@@ -23,6 +23,9 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 APPROACH, RETURN = "approach", "return"
 """Names of the free move to the first stroke and of the way back."""
 
+# Intervals of a piece of a spline at whose ends it is looked at, and share by which times may differ.
+_PLACES_OF_A_PIECE, _SAME_TIME = 6, 1e-9
+
 
 def stands_of(name: str, ramp: float) -> tuple[float, float]:
     """Return how long the arm stands before and after a free move: beside strokes for the force's `ramp`."""
@@ -102,6 +105,23 @@ class Segment(_Timed):
         if self.kind == "stroke":
             return clearances
         return clearances.no_deeper(self.trajectory.q[[0, -1]], margin)
+
+    def moved_in_ramps(self, ramp: float) -> float:
+        """Return how far joints move, rad or m, in a free move's `stands_of`; infinite if it is shorter."""
+        t, moved = self.trajectory.t, 0.0
+        before, after = stands_of(self.name, ramp)
+        if self.duration < (1 - _SAME_TIME) * (before + after):
+            return np.inf
+        for first, last, rest in (
+            (t[0], t[0] + before, self.trajectory.q[0]),
+            (t[-1] - after, t[-1], self.trajectory.q[-1]),
+        ):
+            ends = np.concatenate([[first], t[(t > first) & (t < last)], [last]])
+            # A polynomial of the fifth degree that is the same at six places is constant.
+            places = np.linspace(0, len(ends) - 1, _PLACES_OF_A_PIECE * (len(ends) - 1) + 1)
+            at = self.trajectory.evaluate(np.interp(places, np.arange(len(ends)), ends))
+            moved = max(moved, float(np.abs(at - rest).max()))
+        return moved
 
     def unshaped(self, file: StrokeFile) -> QuinticTrajectory | None:
         """Return a quiet stroke's joint path by the law of its profile alone; None if no law was chosen."""

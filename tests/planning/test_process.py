@@ -14,6 +14,7 @@ from small_scenes import request_of, short_scene, strokes_scene, task_at
 
 from cmbot.accuracy import stroke_sway
 from cmbot.archive import load_plan, save
+from cmbot.archive.verification.asked import require_still
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, PlanningError, SceneError
 from cmbot.elastic.arm import elastic_arm
@@ -280,6 +281,18 @@ def test_the_arm_stands_beside_strokes_while_the_force_sets_in_and_ends(
     again = load_plan(tmp_path, verify=True)
     assert again.robot.tool_ramp == RAMP
     np.testing.assert_array_equal(again.job.trajectory.t, ramped_plan.job.trajectory.t)
+
+
+def test_an_arm_that_does_not_stand_so_long_is_refused(ramped_plan: Plan, strokes_plan: Plan) -> None:
+    """As planned for a force that sets in at once, or sooner than the scene says."""
+    for made, ramp in ((strokes_plan, RAMP), (ramped_plan, 1.1 * RAMP)):
+        told = replace(made, robot=replace(made.robot, tool_ramp=ramp))
+        with pytest.raises(ArchiveError, match=r"moves .* while the process force sets in or ends") as no:
+            require_still(told, made.options, "plan.json")
+        assert no.value.key in ("approach", "free_1")
+    require_still(ramped_plan, ramped_plan.options, "plan.json")
+    (free,) = (segment for segment in ramped_plan.job.segments if segment.name == "free_1")
+    assert free.moved_in_ramps(1e3) == np.inf
 
 
 def test_a_force_that_sets_in_slowly_is_simulated(ramped_plan: Plan, strokes_plan: Plan) -> None:

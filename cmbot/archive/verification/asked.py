@@ -32,6 +32,8 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("compensate", "knots", "start", "objective", "moment_about", "axis_weights"), ne),
 }
 
+# How far joints of an arm that stands may move, rad or m.
+_STILL = 1e-6
 # How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
 _MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
 # By which share of a surface two searches of what is reached may differ.
@@ -159,8 +161,31 @@ def _contents(scene: Scene) -> list[str]:
     return [robot.content_hash, *each]
 
 
+def require_still(plan: Plan, options: PlannerOptions, source: str) -> None:
+    """Refuse a plan that begins elsewhere although it is pinned, or whose arm moves where it has to stand.
+
+    That is beside strokes, while the process force sets in and ends.
+
+    Raises
+    ------
+    ArchiveError
+    """
+    # A bent arm begins near the posture of the rigid one.
+    moved, most = plan.strokes[0].start.moved, 0.0 if plan.sag is None else _MOST_ASIDE_BENT
+    if options.start == "pinned" and moved > most and not plan.scene.begins_elsewhere:
+        got = f"a start {moved:.3g} rad (or m) from the scene's posture"
+        raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
+    ramp = plan.robot.tool_ramp
+    for segment in plan.job.segments:
+        moved = segment.moved_in_ramps(ramp) if segment.kind == "free" else 0.0
+        if moved > _STILL:
+            got = f"an arm that moves {moved:.3g} rad (or m) while the process force sets in or ends"
+            expected = f"one that stands for tool.process_ramp_s, {ramp:g} s, beside strokes"
+            raise ArchiveError(source, segment.name, got, expected)
+
+
 def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str) -> None:
-    """Refuse a plan that leaves out rows which the arm reaches, or begins elsewhere although it is pinned.
+    """Refuse a plan that leaves out rows which the arm reaches.
 
     Parameters
     ----------
@@ -175,11 +200,6 @@ def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str)
     ------
     ArchiveError
     """
-    # A bent arm begins near the posture of the rigid one.
-    moved, most = plan.strokes[0].start.moved, 0.0 if plan.sag is None else _MOST_ASIDE_BENT
-    if options.start == "pinned" and moved > most and not asked.begins_elsewhere:
-        got = f"a start {moved:.3g} rad (or m) from the scene's posture"
-        raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
     own = plan.coverage
     if not any(cover.unreached for cover in own.values()):
         return

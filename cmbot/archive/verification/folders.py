@@ -308,7 +308,9 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "rest between legs (but for planner.max_tool_deviation_m)"
     if any(segment.kind == "free" for segment in plan.job.segments):
         yield "free moves (that none is shorter, or quicker)"
-    yield f"planned (that no motion has a lower {plan.objective.name})"
+    if plan.options.quiet_modes and plan.sway is not None:
+        yield f"quiet_modes: {plan.options.quiet_modes} (that they come to rest; the swing is computed)"
+    yield f"objective: {plan.objective.name} (that it was planned by it: that no motion has a lower one)"
     yield "start.failures, passes, runs, stopped, missing, fallbacks, seconds, versions, along_self_motion"
     yield "times and names in certificate.checks, times of peaks, options of effort"
 
