@@ -497,12 +497,11 @@ class _Search:
         if not self._waiting and not judged:
             self._waiting, self._later, self._failures = self._later, [], []
         self._waiting = [k for k in self._waiting if self._is_wanted(k)]
-        here = [(self._bases[k], self._near_m(stage)) for k, stage, _ in judged]
+        # Until there is a plan those beside one that is being planned most likely fail with it.
+        apart = judged if self._ending.hastens else self._bounded
+        here = [(self._bases[k], self._near_m(stage)) for k, stage, _ in apart]
         far = (~self._near(self._waiting, here)).tolist()
         able = sorted((k for k, is_far in zip(self._waiting, far, strict=True) if is_far), key=self._order)
-        if not able and not self._bounded:
-            # Beside a plan nothing else is left to do but another one.
-            able = sorted((k for k in self._waiting if self._stage(k) is self._stages[-1]), key=self._order)
         if not able:
             return None
         if self._ending.hastens and self._stage(able[0]) is self._stages[0]:
