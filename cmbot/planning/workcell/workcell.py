@@ -384,10 +384,14 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     (away, held), tube = _beside_stiffness(scene, robot), scene.base and scene.base.tube
     if tube and away > _MOST_BESIDE_M:
         end, length = _numbers(tube.end_m), math.dist(tube.start_m, held)
+        along = np.subtract(tube.end_m, tube.start_m)
         got = f"an end {math.dist(tube.end_m, held):.3g} m from what it holds, the arm at ({_numbers(held)})"
         expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}], "
-        # The two may be exchanged.
-        expected += f"start_m: [{end}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
+        # Clamped where the arm is: a mast stands, so that its start is below its end.
+        below = _numbers(np.subtract(held, -along if along[2] < 0 else along))
+        expected += (
+            f"start_m: [{below}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
+        )
         if not scene.on_guardrail:
             expected += f", or robot.mount: {{xyz: [{end}], rpy_deg: [0, 0, 0]}}"
         raise SceneError(scene.source, "base.tube.end_m", got, expected)

@@ -1,5 +1,7 @@
 """The tube that a robot stands on: its matrices, and what is refused."""
 
+import json
+import re
 from typing import Any
 
 import numpy as np
@@ -167,3 +169,20 @@ def test_an_obstacle_that_is_shorter_than_its_tube_is_told(obstacle: dict[str, A
     scene = load_scene(data)
     found = tube_warning(scene, robot_of(scene))
     assert found.startswith(left_out) and bool(found) == bool(left_out)
+
+
+@pytest.mark.parametrize("end", [(0.0, 0.0, 2.0), (0.1, 0.0, -2.0)])
+def test_a_tube_that_starts_at_the_arm_is_told_to_stand_below_it(end: tuple[float, float, float]) -> None:
+    """Advised is a mast of the same length that ends at the arm and carries it from below."""
+    data = load_scene("mast_inspection").as_data()
+    tube = data["base"]["tube"]
+    tube |= {"start_m": [0.0, 0.0, 0.0], "end_m": list(end)}
+    with pytest.raises(SceneError, match=r"set end_m: \[.*\], start_m: \[.*\], or") as caught:
+        robot_of(load_scene(data))
+    advised = re.findall(r"(\w+_m): (\[[^]]*\])", str(caught.value))
+    tube |= {key: json.loads(value) for key, value in advised}
+    scene = load_scene(data)
+    assert tube_warning(scene, robot_of(scene)) == ""
+    start, top = (np.array(tube[key]) for key in ("start_m", "end_m"))
+    np.testing.assert_allclose(top, 0, atol=1e-9)
+    np.testing.assert_allclose(start, np.array(end) * (-1 if end[2] > 0 else 1), atol=1e-9)
