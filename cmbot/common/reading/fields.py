@@ -30,6 +30,8 @@ SHORTEST_LEG = 1e-6
 
 # Nothing that bends is thicker or longer, m, or softer, Pa: such numbers are in mm and N/mm2.
 _THICKEST_M, _THICKEST_WALL_M, _LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 0.5, 50.0, 1e6, 1e3
+MILLIMETRES = "metres: millimetres"
+"""What `no_thousands` asks of too long a length, m."""
 SHORTEST, LONGEST = 1e-6, 1e4
 """Bounds of a length, m: they catch some millimetres given for metres, and keep every power finite."""
 
@@ -106,11 +108,13 @@ def _in_pascals(modulus: float) -> float:
 
 
 def no_thousands(most: float, units: str) -> AfterValidator:
-    """Return what refuses a number that is larger, with its thousandth and the `units` meant."""
+    """Return what refuses numbers that are larger, with their thousandths and the `units` meant."""
 
-    def checked(value: float) -> float:
-        if value > most:
-            raise refusal(f"{units}? then {value / 1000:g}", got=value)
+    def checked(value: Any) -> Any:
+        each = value if isinstance(value, tuple) else (value,)
+        if max(map(abs, each)) > most:
+            less = ", ".join(f"{number / 1000:g}" for number in each)
+            raise refusal(f"{units}? then {f'[{less}]' if each is value else less}", got=value)
         return value
 
     return AfterValidator(checked)
@@ -128,7 +132,7 @@ def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, 
 
 
 Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST)]
-Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), no_thousands(_THICKEST_M, "metres: millimetres")]
+Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), no_thousands(_THICKEST_M, MILLIMETRES)]
 """Of a tube, a bar or a leg, m."""
 Modulus = Annotated[float, Field(gt=0, le=1e13), AfterValidator(_in_pascals)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]

@@ -16,6 +16,8 @@ from pydantic import Field
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.fields import (
+    LONGEST,
+    MILLIMETRES,
     SHORTEST_LEG,
     Angle,
     Length,
@@ -26,6 +28,7 @@ from cmbot.common.reading.fields import (
     Vector,
     given_of,
     is_mesh_file,
+    no_thousands,
 )
 from cmbot.common.reading.validation import CheckedFields, shown
 from cmbot.common.representation import ShortRepr
@@ -36,6 +39,10 @@ MOST_ROWS = 500
 Interval = tuple[float, float]
 """Where a piece of a row begins and ends, m along it."""
 
+# Longer edges, and what is further off a surface, m, are millimetres.
+_LONGEST_EDGE_M, _FURTHEST_OFF_M = 50.0, 5.0
+_Edge = Annotated[LongVector, no_thousands(_LONGEST_EDGE_M, MILLIMETRES)]
+_Off = Annotated[float, Field(ge=0, le=LONGEST), no_thousands(_FURTHEST_OFF_M, MILLIMETRES)]
 _Along = Annotated[float, Field(ge=-1e-3, le=1e5)]
 # Cosine of the angle between two edges that are at right angles.
 _RIGHT_ANGLE_COSINE = 1e-6
@@ -270,16 +277,16 @@ class Raster(CheckedFields, ShortRepr):
     """
 
     origin: Vector | None = None
-    u: LongVector | None = None
-    v: LongVector | None = None
+    u: _Edge | None = None
+    v: _Edge | None = None
     cylinder: CylinderPatch | None = None
     mesh: MeshName | None = None
     faces: FaceSelection | None = None
     along: LongVector | None = None
     spacing_m: Length
-    stand_off_m: Annotated[float, Field(ge=0, le=100)]
+    stand_off_m: _Off
     lean_deg: tuple[_Lean, _Lean] | None = None
-    overscan_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    overscan_m: _Off = 0.0
     cover: Literal["reachable", "all"] = "reachable"
     pieces: Annotated[tuple[RowPiece, ...] | None, Field(min_length=1, max_length=MOST_ROWS)] = None
     frame: Slug = "world"

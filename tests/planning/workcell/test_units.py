@@ -169,3 +169,21 @@ def test_a_payload_and_a_tool_in_grams_and_millimetres_are_suspected(
     tool = AttachedToolFile(xyz=(0.0, 0.0, z), mass_kg=mass)
     scene = scene.model_copy(update={"robot": scene.robot.model_copy(update={"tool": tool})})
     assert {key: looks for key, looks, _ in mistaken_units(scene)} == suspected
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"u": [500, 0, 0]}, r"raster.u: got \(500.0, .*, expected metres: millimetres\? then \[0.5, 0, 0\]"),
+        (
+            {"v": [0, 200, 0]},
+            r"raster.v: got \(0.0, 200.0, .*, expected metres: millimetres\? then \[0, 0.2, 0\]",
+        ),
+        ({"stand_off_m": 120}, r"raster.stand_off_m: got 120.0, expected metres: millimetres\? then 0.12"),
+    ],
+)
+def test_a_raster_in_millimetres_is_refused_for_that_first(given: dict[str, Any], said: str) -> None:
+    """Not for the number of its rows or via-points, which follow from it."""
+    path = {"raster": {**ROWS, **given}, "speed_m_s": 0.1}
+    with pytest.raises(SceneError, match=said):
+        cmbot.load_scene({**SHORT, "tool_path": path})
