@@ -380,9 +380,15 @@ def failures_explained(scene: Scene) -> Iterator[None]:
                 error.add_source(_with_line(scene, warning.key))
             for warning in _warnings(_sag_at_start(scene, robot)):
                 error.add_hint(f"{_with_line(scene, warning.key)} has {warning.got}")
-        if isinstance(error, PlanningError) or error.key.startswith(scene.posture_key):
-            for key, looks, units in mistaken_units(scene):
-                error.add_hint(f"{_with_line(scene, key)} looks like {looks}, it is in {units}")
+        block = None if isinstance(error, PlanningError) else error.key.partition(".")[0]
+        for number, (key, looks, units) in enumerate(mistaken_units(scene)):
+            told, where = f"looks like {looks}, it is in {units}", _with_line(scene, key)
+            if block is None and number == 0:
+                # It may explain the failure: it comes before what else would do.
+                error.add_source(told)
+                error.add_source(where)
+            elif block in (None, key.partition(".")[0]):
+                error.add_hint(f"{where} {told}")
         raise
 
 

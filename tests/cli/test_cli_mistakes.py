@@ -88,7 +88,7 @@ def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
         first == f"warning: {path}:1: start.posture_deg: got numbers that look like radians, expected degrees"
     )
     assert others[0].startswith("error: ")
-    with pytest.raises(cmbot.PlanningError, match=r"; line 1: start.posture_deg looks like radians, it is"):
+    with pytest.raises(cmbot.PlanningError, match=r"^line 1: start.posture_deg: looks like radians, it is"):
         cmbot.plan(cmbot.load_scene(path))
 
 
@@ -132,7 +132,7 @@ def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> 
     told = f"{clamped}:1: guardrail.hold.force_n: got numbers that look like kN, expected N\n"
     assert told in run("check", clamped).out
     with pytest.raises(
-        cmbot.PlanningError, match=r"; line 1: guardrail.hold.adhesion_n looks like kN, it is in N"
+        cmbot.PlanningError, match=r"^line 1: guardrail.hold.adhesion_n: looks like kN, it is in N: line 1: "
     ) as e:
         cmbot.plan(cmbot.load_scene(path))
     assert re.search(
@@ -174,7 +174,7 @@ def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:
         "(scale: 1 says that they are)"
     )
     with pytest.raises(
-        cmbot.PlanningError, match=r"; line 1: obstacles\[0\] looks like millimetres, it is in metres \(scale"
+        cmbot.PlanningError, match=r"^line 1: obstacles\[0\]: looks like millimetres, it is in metres \(scale"
     ):
         cmbot.plan(cmbot.load_scene(near))
     floor = {"name": "floor", "box": [100, 100, 1], "xyz": [0, 0, -9]}
