@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NoReturn, Self
 
@@ -32,6 +32,7 @@ from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.reach import (
     firmer,
     leaning,
+    lighter,
     require_posture,
     require_postures,
     require_within_reach,
@@ -113,21 +114,23 @@ def plan(
     given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
     deadline = Deadline(given.time_limit_s)
     # The matrices are small: more threads of linear algebra than one only wait for each other.
-    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        scene = _reached(scene, given, deadline)
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene), _advised(scene):
+        scene = reached_scene(scene, given, deadline)
         with watched(progress) as report:
             planner = _Planner.of(given, report, deadline, objective)
             return planner.partial(scene) if partial else planner.whole(scene)
 
 
-def _reached(scene: Scene, options: PlannerOptions, deadline: Deadline) -> Scene:
-    """The scene whose rasters are in parts that the arm can follow; errors say what would do."""
+@contextmanager
+def _advised(scene: Scene) -> Iterator[None]:
+    """Add to the error of a path without postures what would do."""
     try:
-        return reached_scene(scene, options, deadline)
+        yield
     except PathNotFound as error:
-        would_do = {found.key: found.expected.partition(": ")[2] for found in without_posture(scene)}
-        if hint := would_do.get(error.key):
-            error.add_hint(hint)
+        for found in without_posture(scene) if error.key else ():
+            hint = found.expected.partition(": ")[2]
+            if found.key == error.key and hint and hint not in error.hints:
+                error.add_hint(hint)
         raise
 
 
@@ -189,8 +192,8 @@ def replan(
     require_type(scene, Scene, "cmbot.replan", "scene", "a Scene, as cmbot.load_scene returns it")
     given, deadline = scene.planner, Deadline(scene.planner.time_limit_s)
     # As in `plan`.
-    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        near = _timed_as(plan, _reached(scene, given, deadline))
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene), _advised(scene):
+        near = _timed_as(plan, reached_scene(scene, given, deadline))
         with watched(progress) as report:
             outcome = _Planner.of(given, report, deadline).job(near, deadline, plan)
     if isinstance(outcome, Plan):
@@ -361,7 +364,7 @@ class _Planner:
             error.add_hint(own)
         if not self.brief:
             blocked = upright(request) if missed is None else ""
-            leant = leaning(scene, request) if blocked or missed else ""
+            leant = (leaning(scene, request) or lighter(scene, request)) if blocked or missed else ""
             for hint in filter(None, (blocked, leant, firmer(scene, request))):
                 error.add_hint(hint)
         if stroke.shortest is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -96,15 +96,18 @@ def precheck_scene(scene: Scene) -> Precheck:
     start += [*_statics_at_start(scene, robot, task), *_return(scene, robot)]
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
-    warnings += [*without_posture(scene), *_blocked_feet(scene)]
+    units = [*unit_findings(scene)]
+    # They may explain the others.
+    first = "".join(f"; first see {each.key}, {each.got}" for each in units[:1])
+    blocked = (replace(each, expected=f"{each.expected}{first}") for each in without_posture(scene))
+    warnings += [*blocked, *_blocked_feet(scene)]
     for stroke in strokes:
         warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)]
         warnings += [] if any(beyond_reach(stroke, robot)) else _too_short(stroke, robot)
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += [*precheck_options(scene.planner, scene.tool), *_locked_below(scene, robot)]
-    # They may explain the others.
     # Rows of a raster share their key, and what is the matter with them.
-    return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*unit_findings(scene), *warnings])))
+    return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*units, *warnings])))
 
 
 def _asked(

@@ -23,6 +23,8 @@ from cmbot.scene import Scene, Stroke
 
 # Leans of a raster's tool that are tried, degrees.
 _LEANS = ((0.0, 15.0), (0.0, -15.0), (15.0, 0.0), (-15.0, 0.0))
+# Shares of a load that are tried.
+_LIGHTER = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01)
 # Bounds of feet that are raised one after the other, and for what a motion asks more than rest.
 _FIRMER_FEET, _IN_MOTION = 4, 1.05
 
@@ -119,8 +121,11 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
         if miss is not None:
             some, is_cut = bool(miss.missed.found.any()), _is_cut(stroke)
             left_out = "rows beyond it are left out" if some and is_cut else ""
-            wanted = "feet that bear it" if miss.feet_bind else ""
-            remedy = leaning(scene, at) or firmer(scene, at) or ("" if left_out else miss.remedy())
+            wanted = (
+                "feet that bear it" if miss.feet_bind else "joints that bear it" if miss.joints_bind else ""
+            )
+            remedy = leaning(scene, at) or lighter(scene, at) or firmer(scene, at)
+            remedy = remedy or ("" if left_out else miss.remedy())
             expected = "; ".join(filter(None, (left_out, remedy)))
             is_refused = not some or (not is_cut and (number > 0 or not miss.missed.is_held))
             yield Finding(
@@ -129,6 +134,28 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
                 got=f"a path that is {miss.reason()}",
                 expected=": ".join(filter(None, (wanted or "a path within reach", expected))),
             )
+
+
+def lighter(scene: Scene, request: StrokeRequest) -> str:
+    """Return with which part of the process force, or of the payload, every place has a posture.
+
+    Empty where none is found, or where it is not joints that are too weak.
+    """
+    cell, miss = request.cell, nearest_miss(request, is_clear=True)
+    if miss is None or not miss.joints_bind:
+        return ""
+    q, robot = miss.missed.best[None], scene.robot
+    loads = ("tool.process_force_n", scene.tool.process_force_n), ("robot.payload_kg", robot.payload_kg)
+    for key, load in loads:
+        for share in _LIGHTER if np.any(load) else ():
+            each = [float(f"{share * part:.2g}") for part in np.atleast_1d(load)]
+            less = each if len(each) > 1 else each[0]
+            with_less = replace(cell, robot=robot_of(scene.with_values({key: less})))
+            if not with_less.strong(with_less.postures.at(q))[0]:
+                continue
+            if nearest_miss(replace(request, cell=with_less), is_clear=True) is None:
+                return f"{key} {less} instead of {np.array(load).tolist()} would do at rest"
+    return ""
 
 
 def firmer(scene: Scene, request: StrokeRequest) -> str:

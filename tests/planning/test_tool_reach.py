@@ -3,6 +3,7 @@
 By the length of the stretched arm, and by its joint ranges and obstacles.
 """
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -294,3 +295,25 @@ def test_no_seconds_are_advised_where_a_place_between_via_points_is_blocked(
     with pytest.raises(PathNotFound, match=r"blocked at .*, at best .*post, the safety margin") as caught:
         plan(scene, progress=False)
     assert "seconds" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"tool": {"process_force_n": [0, 0, -2000]}}, "tool.process_force_n"),
+        ({"robot": {"model": "cmbot", "payload_kg": 90.0}}, "robot.payload_kg"),
+    ],
+)
+def test_a_load_that_joints_do_not_bear_is_named_with_one_that_they_do(
+    changes: dict[str, Any], key: str
+) -> None:
+    """By the check and by the plan; at rest the advised load has a posture for every place."""
+    scene = short_scene(**changes)
+    (found,) = (each for each in precheck_scene(scene).warnings if each.key.startswith("tool_path"))
+    assert re.search(r"(joint|climb)_\d uses \d+% of its torque", str(found.got))
+    remedy = re.search(rf"^joints that bear it: {key} (.*) instead of .* would do at rest", found.expected)
+    assert remedy is not None
+    lighter = scene.with_values({key: json.loads(remedy[1])})
+    assert not any(each.key.startswith("tool_path") for each in precheck_scene(lighter).warnings)
+    with pytest.raises(PlanningError, match=re.escape(f"{key} {remedy[1]} instead of ")):
+        plan(scene, options=replace(scene.planner, time_limit_s=5.0))

@@ -127,8 +127,20 @@ class NearestMiss:
     @property
     def feet_bind(self) -> bool:
         """Whether it is the feet that the best posture asks too much of."""
-        weakest = weakest_joint(self.request.cell, self.missed.best[None])
-        return self.missed.is_held and self._use > 1.0 and weakest == FEET
+        return self._overloads and self._weakest == FEET
+
+    @property
+    def joints_bind(self) -> bool:
+        """Whether it is a joint that the best posture asks too much of."""
+        return self._overloads and self._weakest != FEET
+
+    @property
+    def _overloads(self) -> bool:
+        return self.missed.is_held and self._use > 1.0
+
+    @property
+    def _weakest(self) -> str:
+        return weakest_joint(self.request.cell, self.missed.best[None])
 
     @property
     def at_best(self) -> str:

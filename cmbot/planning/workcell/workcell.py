@@ -388,7 +388,7 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
         got = f"an end {math.dist(tube.end_m, held):.3g} m from what it holds, the arm at ({_numbers(held)})"
         expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}], "
         # Clamped where the arm is: a mast stands, so that its start is below its end.
-        below = _numbers(np.subtract(held, -along if along[2] < 0 else along))
+        below = _numbers(np.subtract(held, -along if along[2] < 0 else along).tolist())
         expected += (
             f"start_m: [{below}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
         )
