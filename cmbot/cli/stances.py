@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -100,6 +100,7 @@ class StandCommand(Writing):
 
         def say() -> None:
             _print_rankings(rankings)
+            print_lines(_judged_by(rankings, directory))
             _print_written(directory, started)
 
         files = (*_STANCE_FILES, record, "best.yaml", "best_1.yaml")
@@ -277,16 +278,31 @@ def _contents(rankings: Sequence[StanceRanking], name: str) -> dict[str, bytes]:
     texts = (cmbot.stances.stances_csv(rankings), cmbot.views.stances_page(rankings, name))
     contents = dict(zip(_STANCE_FILES, texts, strict=True))
     for number, each in enumerate(rankings, start=1):
-        group = "" if len(rankings) == 1 else f"_{number}"
         for rank, one in enumerate(each.ranked[:_MAX_ROWS], start=1):
             best = rank == 1 and (each.best is not None or not each.plans)
             judged = rank == 1 or not each.plans or one.stage in cmbot.stances.CHARTED
             if best or (judged and one.bound < float("inf")):
                 scene = yaml_text(plain(cmbot.stances.best_scene(each, rank), each.scene.name))
-                file = f"best{group}.yaml" if best else f"stance{group}_{rank}.yaml"
+                file = _file("best", rankings, number) if best else _file("stance", rankings, number, rank)
                 was = "planned" if one.plan is not None else _NOT_PLANNED
                 contents[file] = f"{_HEADER.format(was)}{scene}"
     return {file: text.encode() for file, text in contents.items()}
+
+
+def _file(what: str, rankings: Sequence[StanceRanking], number: int, *rank: int) -> str:
+    """The file of a scene of the ranking of a number: ``best_1.yaml``, ``stance_2.yaml``."""
+    return f"{'_'.join(map(str, [what, *[number] * (len(rankings) > 1), *rank]))}.yaml"
+
+
+def _judged_by(rankings: Sequence[StanceRanking], directory: Path) -> Iterator[str]:
+    """Say what judges the first stance of each written ranking for which there was no time."""
+    for number, ranking in enumerate(rankings, start=1):
+        first = next(iter(ranking.waiting), None)
+        if first is None or not ranking.closest_in_time:
+            continue
+        rank = ranking.ranked.index(first) + 1
+        if (file := directory / _file("stance", rankings, number, rank)).is_file():
+            yield f"cmbot plan {one_line(file)} --set time_limit_s=600 judges stance {rank} to the end."
 
 
 def _summary(rankings: Sequence[StanceRanking]) -> dict[str, Any]:

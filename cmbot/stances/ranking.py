@@ -176,7 +176,7 @@ class StanceRanking(ShortRepr):
             return f"{late}; by their bounds (estimates) none of them is better than the best one"
         return (
             f"{late}; first {first.place}, by its bound {first.bound:.4g} {self.unit}; a longer "
-            "--time-limit with planner.time_limit_s as long, or cmbot plan of its scene, judges it"
+            "--time-limit with planner.time_limit_s as long judges it"
         )
 
     @property

@@ -3,7 +3,9 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -14,6 +16,8 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import STANCES_FILE, write_results
 from cmbot.planning import robot_of
+from cmbot.stances import StanceRanking
+from cmbot.stances.search import Rejection
 
 FILES = {"stances.csv", "stances.json", "best.yaml", "index.html"}
 
@@ -151,6 +155,29 @@ def test_where_the_time_is_over_the_error_has_the_next_command(
     assert f"for want of time: {waiting}, {waiting} of them only screened; first " in outcome.err
     assert f"cmbot plan {out / 'stance_1.yaml'} --set time_limit_s=600 judges the first" in outcome.err
     assert cmbot.load_scene(out / "stance_1.yaml").robot == cmbot.load_scene(job).robot
+
+
+def test_of_a_stance_without_time_the_file_is_named_that_judges_it(
+    job: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the first of those that are left is the second one of the table."""
+    stand = cmbot.stances.stand
+
+    def late(*arguments: Any) -> tuple[StanceRanking, ...]:
+        (found,) = stand(*arguments)
+        first = replace(found.ranked[0], rejection=Rejection(kind="blocked", reason="", cause=""))
+        return (replace(found, ended_by="time", ranked=(first, *found.ranked[1:])),)
+
+    monkeypatch.setattr(cmbot.stances, "stand", late)
+    out, words = job.parent / "out", ("--one-foot", "--spacing", "1.5", "--plans", "0", "--force")
+    outcome = run("stand", job, *words, "-o", out)
+    assert (
+        f"cmbot plan {out / 'stance_2.yaml'} --set time_limit_s=600 judges stance 2 to the end."
+        in outcome.out
+    )
+    rows = [*csv.DictReader((out / "stances.csv").read_text().splitlines())]
+    foot = cmbot.load_scene(out / "stance_2.yaml").stance.foot
+    assert foot == pytest.approx([float(rows[1][axis]) for axis in "xyz"], abs=1e-4)
 
 
 STOPS = """

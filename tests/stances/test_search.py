@@ -82,8 +82,7 @@ def test_stances_without_time_are_named_first(monkeypatch: pytest.MonkeyPatch) -
     assert ranking.best_unplanned == 100.0
     closest = (
         "not judged to the end for want of time: 3, 1 of them only screened; first place 0, by its bound "
-        "100 Nm; a longer --time-limit with planner.time_limit_s as long, or cmbot plan of its scene, judges "
-        "it"
+        "100 Nm; a longer --time-limit with planner.time_limit_s as long judges it"
     )
     said = [*in_words(ranking)]
     assert f"N{closest[1:]}." in said
