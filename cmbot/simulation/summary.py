@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
-from cmbot.planning import Plan, held_point
+from cmbot.planning import APPROACH, RETURN, Plan, held_point
 from cmbot.simulation.execution import is_executed
 from cmbot.simulation.metrics import Statistics, statistics
 from cmbot.simulation.options import SimulationOptions
@@ -50,18 +50,29 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
     """
     each = [motion for _, motion in tracking.motions]
     sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
-    rows = {
-        sag: [motion.metrics.static.mean[3] for motion in each],
-        "tool sways beside its sag, at most": [motion.largest(motion.dynamic) for motion in each],
-        "tool off its path as simulated, at most": [motion.largest_off_path for motion in each],
-    }
+    rows = {sag: [motion.metrics.static.mean[3] for motion in each]}
+    parts = _parts_in_time(tracking)
+    for when, some in parts.items():
+        rows[f"tool sways beside its sag{when}, at most"] = [
+            motion.largest(motion.dynamic) for motion in some
+        ]
+    rows["tool off its path as simulated, at most"] = [motion.largest_off_path for motion in each]
     if all(motion.execution is not None for motion in each):
-        rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in each]
+        for when, some in parts.items():
+            name = f"tool off by how joints are driven{when}, at most"
+            rows[name] = [_largest_execution(motion) for motion in some]
     swings = [motion.metrics.residual.diameter for motion in each if motion.metrics.residual is not None]
     if len(swings) == len(each):
-        rows["tool swings after the work"] = swings
+        rows[f"tool swings after the work{', free moves included' * (len(parts) > 1)}"] = swings
     for name, values in rows.items():
         yield name, *(f"{1e3 * value:.3f}" for value in values)
+
+
+def _parts_in_time(tracking: Tracking) -> dict[str, list[MotionTracking]]:
+    """The motions at work, and on free moves where there are any, by how that is said."""
+    each = [motion for _, motion in tracking.motions]
+    free = [motion.on_free_moves for motion in each if motion.on_free_moves is not None]
+    return {" at work": [motion.at_work for motion in each], " on free moves": free} if free else {"": each}
 
 
 def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
@@ -87,20 +98,25 @@ def base_movement(plan: Plan, tracking: Tracking) -> str:
     """
     if any(motion.base is None for _, motion in tracking.motions):
         return ""
-    *other, (way, turn, torque) = [
-        (
-            f"{1e3 * motion.largest_base_displacement:.3g} mm",
-            f"{np.rad2deg(motion.largest_base_rotation):.3g} deg",
-            f"{motion.largest_base_torque:.2f} Nm",
-        )
-        for _, motion in tracking.motions
-    ]
-    beside = f" (baseline {', '.join(other[0])})" if other else ""
     points = held_point(plan.scene, plan.robot), plan.robot.foot_point
     held, about = (f"({', '.join(f'{x:.3g}' for x in point)}) m" for point in points)
+    told = list[str]()
+    for when, motions in _parts_in_time(tracking).items():
+        *other, (way, turn, torque) = [
+            (
+                f"{1e3 * motion.largest_base_displacement:.3g} mm",
+                f"{np.rad2deg(motion.largest_base_rotation):.3g} deg",
+                f"{motion.largest_base_torque:.2f} Nm",
+            )
+            for motion in motions
+        ]
+        beside = f" (baseline {', '.join(other[0])})" if other else ""
+        told.append(f"moves{when} by up to {way} and turns by up to {turn}; with vibration it bears up to ")
+        told[-1] += f"{torque} about {about}{beside}"
+    unseen = " and ".join(each.name for each in plan.job.segments if each.name in (APPROACH, RETURN))
     return (
-        f"Where it holds the arm, at {held}, the {plan.scene.base_name} moves by up to {way} and turns by up "
-        f"to {turn}; with vibration it bears up to {torque} about {about}{beside}."
+        f"Where it holds the arm, at {held}, the {plan.scene.base_name} {'; it '.join(told)}."
+        f"{f' Not simulated: {unseen}.' if unseen else ''}"
     )
 
 
@@ -123,7 +139,7 @@ def beyond_margin(plan: Plan, tracking: Tracking) -> str:
 
 
 def _swaying(plan: Plan, tracking: Tracking) -> str:
-    *others, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
+    *others, after = (motion.at_work.largest(motion.at_work.dynamic) for _, motion in tracking.motions)
     before = max(others, default=np.inf)
     if after <= max(_MORE_SWAY_FACTOR * before, _STILL):
         return ""
@@ -141,14 +157,14 @@ def _margin(plan: Plan, tracking: Tracking) -> str:
             f"Within the margin: bent as it is, the tool stays within {bound} of its path.{_certified(plan)}"
         )
     text = f"Not within the margin: bent as it is, the tool leaves its path by more than {bound}"
-    if _largest_execution(tracking.planned) > allowed:
-        driven = 1e3 * _largest_execution(tracking.planned)
+    planned = tracking.planned.at_work
+    if (driven := 1e3 * _largest_execution(planned)) > 1e3 * allowed:
         return f"{text}. How the joints are driven puts it up to {driven:.2f} mm from where it should be."
     if plan.options.compensate is True:
-        sags = tracking.planned.largest(tracking.planned.static) > allowed
+        sags = planned.largest(planned.static) > allowed
         why = "what bends here is not what was planned with" if sags else "beside it, it sways"
         return f"{text}, though the foreseen sag is compensated: {why}.{_certified(plan)}"
-    if tracking.planned.largest(tracking.planned.dynamic) <= allowed:
+    if planned.largest(planned.dynamic) <= allowed:
         return f"{text}. That is sag, which can be foreseen: with compensate: true the plan makes up for it."
     return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.reading.validation import CheckedFields, checked_options
 from cmbot.common.representation import ShortRepr, card
@@ -101,6 +101,21 @@ class MotionTracking(ShortRepr):
     def off_path(self) -> FloatArray:
         """Distance of the bent tool from the current leg, (N,), m; NaN between strokes."""
         return np.asarray(np.linalg.norm(self.path_error, axis=1))
+
+    @cached_property
+    def at_work(self) -> MotionTracking:
+        """What of it is along strokes, as samples alone."""
+        return self._some(np.isfinite(self.command[:, 0]))
+
+    @cached_property
+    def on_free_moves(self) -> MotionTracking | None:
+        """What of it is between strokes, likewise; None of one stroke."""
+        between = np.isnan(self.command[:, 0])
+        return self._some(between) if between.any() else None
+
+    def _some(self, which: BoolArray) -> MotionTracking:
+        arrays = {name: each[which] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        return replace(self, **arrays)
 
     @property
     def largest_off_path(self) -> float:

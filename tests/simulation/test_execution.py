@@ -101,8 +101,8 @@ def test_a_quick_servo_changes_nothing_and_a_slow_one_is_told(strokes_plan: Plan
     # The rest of the error is what bends.
     rest = slow.planned.error - slow.planned.execution
     assert np.linalg.norm(rest - exact.planned.error, axis=1).max() < 0.3 * largest
-    (row,) = (row for row in tracking_summary(slow, compensated=False) if "how joints are driven" in row[0])
-    assert float(row[2]) == pytest.approx(1e3 * largest, abs=0.02 * 1e3 * largest)
+    told = [row for row in tracking_summary(slow, compensated=False) if "how joints are driven" in row[0]]
+    assert max(float(row[2]) for row in told) == pytest.approx(1e3 * largest, abs=0.02 * 1e3 * largest)
     assert not [row for row in tracking_summary(exact, compensated=False) if "driven" in row[0]]
     remarks = " ".join(tracking_remarks(slow))
     assert "joints driven with set-points at 125 Hz, held, servos of 5 Hz, a delay of 10 ms." in remarks

@@ -16,9 +16,11 @@ from cmbot.simulation import (
     PrescribedWork,
     SimulationOptions,
     Tracking,
+    base_movement,
     simulate,
     statistics,
     track_work,
+    tracking_summary,
     tracking_verdict,
 )
 from cmbot.simulation.tracking import elastic_arm_of
@@ -140,8 +142,30 @@ def test_the_sag_that_is_compensated_is_that_of_each_segment(strokes_plan: Plan)
     assert f"What the plan certifies, {1e3 * largest:.2f} mm, is the arm at rest" in verdict
     assert "SWAYS MORE" not in verdict
     calm = replace(motion, error=motion.static + 0.9 * motion.dynamic)
-    ends = [f"{1e3 * each.largest(each.dynamic):.3f} mm" for each in (motion, calm)]
+    ends = [f"{1e3 * each.largest(each.dynamic):.3f} mm" for each in (motion.at_work, calm.at_work)]
     said = tracking_verdict(strokes_plan, replace(tracking, baseline=calm))
     assert f"SWAYS MORE than the baseline: beside its sag the tool moves by up to {ends[0]}, " in said
     # Nothing is advised that was not tried.
     assert said.endswith(f"the baseline's by {ends[1]}.")
+
+
+def test_what_is_largest_is_told_of_the_work_before_free_moves(
+    strokes_plan: Plan, strokes_tracking: Tracking
+) -> None:
+    rows = {name: float(after) for name, _, after in tracking_summary(strokes_tracking, compensated=False)}
+    motion = strokes_tracking.planned
+    size, moving = 1e3 * np.linalg.norm(motion.dynamic, axis=1), motion.t <= motion.stop
+    free = np.isnan(motion.path_error[:, 0])
+    names = [f"tool sways beside its sag {when}, at most" for when in ("at work", "on free moves")]
+    assert [name for name in rows if "sways" in name] == names
+    for name, where in zip(names, (~free, free), strict=True):
+        assert rows[name] == pytest.approx(size[where & moving].max(), abs=1e-3)
+    assert "tool swings after the work, free moves included" in rows
+    torque = np.linalg.norm(motion.base[:, 6:], axis=1)
+    said = base_movement(strokes_plan, strokes_tracking)
+    at_work, on_free_moves = said.split("; it moves on free moves by up to ")
+    for part, where in ((at_work, ~free), (on_free_moves, free)):
+        assert f"with vibration it bears up to {torque[where & moving].max():.2f} Nm about" in part
+    segments = {segment.name for segment in strokes_plan.job.segments}
+    for name in ("approach", "return"):
+        assert (name in said.partition("Not simulated: ")[2]) == (name in segments)
