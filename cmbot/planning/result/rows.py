@@ -103,7 +103,9 @@ def _tool(plan: Plan) -> Iterator[Row]:
     if (sway := plan.sway) is not None:
         (swayed, swung), swing = plan.baseline_sway or (None, None), 1e-3 * sway.swing_mm
         of = f", stiffness ±{100 * sway.stiffness_share:g} %"
-        yield _row(f"tool swings after the work{of}", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
+        # Of several, each is integrated alone; `simulate` has what free moves leave, too.
+        after = "a stroke, free moves left out" if plan.several else "the work"
+        yield _row(f"tool swings after {after}{of}", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
         # A process force that sets in sways the tool by more than it swings at last.
         name, size, first = f"largest sway at work{of}", 1e-3 * sway.sway_mm, plan.robot.pushed
         yield _row(name, "sway.sway_mm", "mm", ".3f", size, swayed, first=first)
