@@ -11,14 +11,16 @@ import pytest
 from oracles.contacts import contacts
 from plan_folders import edit
 from rosbags.highlevel import AnyReader
-from small_scenes import short_scene
+from small_scenes import request_of, short_scene
 
 import cmbot
 from cmbot.archive import export_mcap, load_plan, save
 from cmbot.collision import Clearances
-from cmbot.common.errors import ArchiveError, LimitViolation, PlanningError, SceneError
+from cmbot.common.errors import ArchiveError, LimitViolation, OptimisationFailed, PlanningError, SceneError
+from cmbot.common.limit import Limit
 from cmbot.hold import MAGNET_PRESSURE, Holding
 from cmbot.planning import Plan, certify, plan, planner, precheck_scene, remarks, robot_of, verdict
+from cmbot.planning.attempts.failure import failure_of
 from cmbot.planning.verification.hold import hold_checks
 from cmbot.robot import Dynamics, Postures
 from cmbot.views.report import headlines
@@ -364,3 +366,34 @@ def test_a_clamp_holds_the_shipped_jobs(name: str, use: float, tmp_path: Path) -
     # What its plate would need as a magnet is beyond what any on that contact pulls.
     needed = made.robot.holding.needed(0, wrench).max()
     assert needed > MAGNET_PRESSURE * made.robot.feet[0].contact.area > made.robot.feet[0].ceiling
+
+
+def test_bounds_that_are_advised_leave_room_for_the_motion() -> None:
+    """With them the job is planned, and at rest in the start no foot uses all but its last eighth."""
+    clamp = {"kind": "clamp", "force_n": [500.0] * 3, "moment_nm": [200.0] * 3}
+    weak = short_scene(guardrail={"hold": clamp}, planner={"knots": "sliding"})
+    with pytest.raises(PlanningError) as refused:
+        plan(weak)
+    advised = re.findall(r"(guardrail\.hold\.\w+) (\[[^]]*\])", str(refused.value))
+    assert {key.rpartition(".")[2] for key, _ in advised} == {"force_n", "moment_nm"}
+    firm = weak.with_values({key: json.loads(bounds) for key, bounds in advised})
+    assert not precheck_scene(firm).warnings
+    robot = robot_of(firm)
+    wrench = Dynamics(robot.tool_off).static_efforts(firm.posture[None]).guardrail_wrench
+    assert robot.holding.most_used(wrench).share <= 1 / 1.15
+    assert plan(firm).certificate.holds
+
+
+def test_a_hold_that_no_trajectory_keeps_is_named_with_its_foot_and_bound(held: Plan) -> None:
+    error = OptimisationFailed(
+        "none", constraint="adhesion needed", violation=0.1, trajectory=held.trajectory, limit=Limit.HOLD
+    )
+    said = failure_of(request_of(held.scene), error).error.constraint
+    t = np.linspace(0.0, held.trajectory.duration, 2000)
+    wrench = Dynamics(held.robot).efforts(*held.trajectory.states(t)).guardrail_wrench
+    most = max(held.robot.holding.needed(0, wrench))
+    told = re.fullmatch(
+        rf"adhesion needed, adhesion_n: (\d+) N of adhesion, times .*, where a foot has {ADHESION:.0f} N",
+        said,
+    )
+    assert told is not None and float(told[1]) == pytest.approx(most, rel=0.01)

@@ -191,6 +191,10 @@ def _named(request: StrokeRequest, error: OptimisationFailed) -> tuple[str, Brok
             torque = Dynamics(cell.robot).efforts(q, v, a).joint_torque
             use = np.abs(torque) / cell.robot.limits.torque
             return f"torque of {cell.robot.joints[int(use.max(axis=0).argmax())]}", broken
+        case OtherLimit(what=Limit.HOLD) if cell.robot.holding is not None:
+            wrench = Dynamics(cell.robot).efforts(q, v, a).guardrail_wrench
+            most = cell.robot.holding.most_used(wrench[[cell.robot.holding.share(wrench)[0].argmax()]])
+            return f"{error.constraint}, {most.bound}: {most.in_words}", broken
     return error.constraint, broken
 
 
