@@ -2,6 +2,7 @@
 
 import copy
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,10 @@ def test_a_raster_round_an_obstacle_is_planned_in_two_parts(tmp_path: Path) -> N
     assert 0.1 * 0.08 < found.unreached == pytest.approx(found.left_out)
     assert f"{found.unreached:.3g} of {found.area:.3g} m2 are not reached" in verdict(made)
     assert any("m2 are not reached: where no posture goes on" in line for line in remarks(made))
+    # What the check warns of may be why.
+    assert "First see" not in verdict(made)
+    pulled = replace(made, scene=made.scene.with_values({"tool.process_force_n": [0, 0, 20]}))
+    assert "First see tool.process_force_n: [0, 0, 20], which pulls the tool forward" in verdict(pulled)
     assert "area that is not reached, m2" in made.summary()
     # What is left out is drawn: rows about the bolt, at the stand-off.
     lines = np.array(made.rows_left_out)

@@ -12,6 +12,7 @@ from cmbot.accuracy import assumed_in_words
 from cmbot.common.limit import Limit
 from cmbot.elastic import elastic_base
 from cmbot.planning.job import RETURN
+from cmbot.planning.precheck import precheck_options
 from cmbot.planning.request import end_posture_of
 from cmbot.planning.result.baseline import Baseline
 from cmbot.planning.result.judgement import (
@@ -25,7 +26,7 @@ from cmbot.planning.result.judgement import (
     travels,
 )
 from cmbot.planning.result.plan import Plan
-from cmbot.planning.workcell.units import mistaken_units
+from cmbot.planning.workcell.units import mistaken_units, unit_findings
 from cmbot.planning.workcell.workcell import held_guardrail, identified_in_words, load_remark, tube_warning
 from cmbot.robot import Dynamics, postures_in_words
 from cmbot.scene import STOW, start_entry
@@ -194,7 +195,10 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
 def _faults(plan: Plan) -> Iterator[Note]:
     """What is missing of what was asked."""
     if unreached := plan.whole_coverage.unreached:
-        yield _note("fault", "unreached", area_m2=plan.whole_coverage.area, unreached_m2=unreached)
+        found = [*unit_findings(plan.scene), *precheck_options(plan.options, plan.scene.tool)]
+        likely = [f" First see {each.key}: {each.got}, expected {each.expected}." for each in found]
+        values = {"area_m2": plan.whole_coverage.area, "unreached_m2": unreached}
+        yield _note("fault", "unreached", **values, likely="".join(likely[:1]))
     off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
     if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}

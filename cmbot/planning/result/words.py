@@ -326,7 +326,7 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
     "help": "With {remedy} the tool would be within {within_mm:.3g} mm.",
     "unreached": (
         "{unreached_m2:.3g} of {area_m2:.3g} m2 are not reached: where no posture goes on, rows are cut; "
-        "raster.cover: all refuses such a plan."
+        "raster.cover: all refuses such a plan.{likely}"
     ),
     "off_path": lambda note: (
         f"B{_bent_by(note.pushed)}tool is up to {note.off_mm:.2f} mm off its path, more than "
