@@ -50,6 +50,8 @@ _ADHESION_LOSS_SHARE = 0.2
 
 # Free moves that take so many times as long as the work are told; a rate that is used as far bounds them.
 _LONG_FREE_RATIO, _REACHED_SHARE = 1.0, 0.9
+# How far from the ends of their ranges joints are in a start that is advised.
+_ROOM_DEG, _ROOM_M = 5.0, 0.01
 _RATES = (Limit.VELOCITY, Limit.ACCELERATION, Limit.JERK)
 
 Level = Literal["first", "fault", "warning", "note"]
@@ -185,10 +187,13 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
         longest = max(free, key=lambda each: each.duration)
         rates = (check for check in longest.certificate.checks if check.limit in _RATES)
         by = next((check.quantity for check in rates if bound_use(check) > _REACHED_SHARE), None)
-        values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by, "start": None}
-        if plan.start.moved:
-            values["start"] = start_entry(plan.start.posture, plan.robot.limits)
-            values["pinned"] = plan.scene.pinned_posture if plan.options.start == "free" else None
+        values = {"seconds": seconds, "total": total, "which": longest.in_words, "by": by}
+        limits, q, moved = plan.robot.limits, plan.start.posture, bool(plan.start.moved)
+        room = np.minimum(q - limits.lower, limits.upper - q)
+        # Near an end of a range a motion that starts there has nowhere to go.
+        roomy = moved and bool((room >= np.where(limits.prismatic, _ROOM_M, np.radians(_ROOM_DEG))).all())
+        values["start"] = start_entry(q, limits) if roomy else None
+        values["pinned"] = plan.scene.pinned_posture if moved and plan.options.start == "free" else None
         yield _note("first", "free_moves", **values)
 
 

@@ -320,7 +320,8 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         f"Free moves take {note.seconds:.0f} of {note.total:.0f} s: the longest, {note.which}, is bounded by "
         f"the {note.by or 'slowest mode or by what base, feet and joints bear'}"
         f"{f'; start: {{{note.start}}} needs hardly any approach' if note.start else ''}"
-        f"{f', and --set start=pinned begins in the {note.pinned}' if note.start and note.pinned else ''}."
+        f"{f'; --set start=pinned begins in the {note.pinned}' if note.pinned else ''}"
+        f"{', and may load the base more' if note.pinned else ''}."
     ),
     "promise": _promise,
     "help": "With {remedy} the tool would be within {within_mm:.3g} mm.",

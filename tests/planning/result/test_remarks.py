@@ -15,6 +15,7 @@ from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import counted
 from cmbot.planning import Plan, Start, bending_arm, first_remarks, notes, remarks, sentence
 from cmbot.planning.initial_guess import Choice
+from cmbot.scene import start_entry
 from cmbot.simulation import Tracking
 from cmbot.trajectory import QuinticTrajectory
 
@@ -274,7 +275,8 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     first = f"Free moves take {free:.0f} of {total:.0f} s: the longest, the approach, is bounded by the "
     angles = ", ".join(f"{round(angle, 4)}" for angle in np.degrees(triangle_plan.start.posture))
     entry = f"start: {{posture_deg: [{angles}]}}"
-    start = f"; {entry} needs hardly any approach, and --set start=pinned begins in the scene's posture"
+    pinned = "; --set start=pinned begins in the scene's posture, and may load the base more"
+    start = f"; {entry} needs hardly any approach{pinned}"
     assert said(changed(begun, "approach", trajectory=slow)) == [f"{first}velocity of joint_4{start}."]
     checks = tuple(
         replace(check, value=0.5 * check.bound) if check.limit is Limit.VELOCITY else check
@@ -283,12 +285,18 @@ def test_free_moves_that_take_far_longer_than_the_work_are_told_with_what_bounds
     idle = replace(approach.certificate, checks=checks)
     (told,) = said(changed(begun, "approach", trajectory=slow, certificate=idle))
     assert told == f"{first}slowest mode or by what base, feet and joints bear{start}."
+    # A start within 5 deg of the end of a range leaves a motion little room: it is not advised.
+    end, q = changed(begun, "approach", trajectory=slow), begun.start.posture
+    for beyond, advised in ((6.0, start), (4.0, pinned)):
+        ends = replace(
+            end.robot.limits, upper=np.append(end.robot.limits.upper[:-1], q[-1] + np.radians(beyond))
+        )
+        (told,) = said(replace(end, robot=replace(end.robot, limits=ends)))
+        assert told == f"{first}velocity of joint_4{advised}."
     # At the end of a range, 169.98496 deg, which would be rounded beyond it.
-    end = changed(begun, "approach", trajectory=slow)
-    ends = replace(end.robot.limits, upper=np.append(end.robot.limits.upper[:-1], np.radians(169.98496)))
-    at_end = replace(end.start, posture=np.append(end.start.posture[:-1], np.radians(169.98496)))
-    (told,) = said(replace(end, robot=replace(end.robot, limits=ends), start=at_end))
-    assert ", 169.9849]} needs hardly any approach" in told
+    end = np.radians(169.98496)
+    ends = replace(begun.robot.limits, upper=np.append(begun.robot.limits.upper[:-1], end))
+    assert start_entry(np.append(q[:-1], end), ends).endswith(", 169.9849]")
     # From where the work begins there is none to be spared.
     there = replace(triangle_plan.start, moved=0.0)
     slow_there = replace(changed(begun, "approach", trajectory=slow), start=there)
