@@ -143,7 +143,11 @@ def _holds(plan: Plan) -> Iterator[Note]:
             values["less"] = holds if less >= needed.peak else "not"
     if (use := hold_use(plan.job)) is not None:
         segment, check = tightest_check(plan.job, limit=Limit.HOLD)
-        values |= {"quantity": check.quantity, "use": use, "time": check.time}
+        values |= {"quantity": check.quantity, "use": use, "time": check.time, "locked": None}
+        if plan.robot.holding_joints:
+            where, locked = tightest_check(plan.job, limit=Limit.HOLDING_TORQUE)
+            if bound_use(locked) > use:
+                values["locked"] = (locked.quantity, bound_use(locked), locked.bound, during(where, plan.job))
         yield _note("first", "holds", **values, when=during(segment, plan.job))
     else:
         welded = any(foot.kind == "welded" for foot in holding.feet)

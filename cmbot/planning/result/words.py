@@ -145,6 +145,9 @@ def _needed(note: Any) -> str:
 def _holds(note: Any) -> str:
     text = f"Hold: {note.quantity} included, uses {100 * note.use:.0f} % of what that allows, {note.when}"
     text += f", at {note.time:.1f} s"
+    if note.locked is not None:
+        quantity, use, most, when = note.locked
+        text += f"; tighter is the {quantity}, {100 * use:.0f} % of {most:g} Nm, {when}"
     if getattr(note, "has_kn", None) is not None:
         with_less = {
             "with safety": "it holds",

@@ -1,6 +1,7 @@
 """What is said of how the feet hold: the worst of all segments, and no adhesion of a clamp."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +70,25 @@ def test_the_load_of_a_clamp_is_the_worst_of_all_strokes(clamped: Plan) -> None:
     assert "in an emergency stop" in stop[0] and float(stop[-1]) > 0
     assert row[0] == f"{LOAD} included, whole job, share of its bounds"
     assert row[-1] == f"{worst.value:.3f}"
+
+
+def test_a_locked_joint_that_is_nearer_to_its_bound_is_told(clamped: Plan) -> None:
+    each, last = used(clamped), clamped.job.segments[-1]
+    for share in (0.5, 1.5):
+        use = share * max(each.values())
+        plan = clamped
+        for part in clamped.job.segments:
+            checks = tuple(
+                replace(check, value=use * check.bound * (1.0 if part is last else 0.9))
+                if check.limit is Limit.HOLDING_TORQUE
+                else check
+                for check in part.certificate.checks
+            )
+            plan = changed(plan, part.name, certificate=replace(part.certificate, checks=checks))
+        (said,) = hold_remarks(plan)
+        told = re.search(r"; tighter is the torque that climb_\d holds, (\d+) % of \d+ Nm, ", said)
+        assert (told is not None) == (share > 1)
+        assert told is None or int(told[1]) == pytest.approx(100 * use, abs=1)
 
 
 @pytest.mark.parametrize("name", ["clamped", "magnet_and_clamp"])
