@@ -28,6 +28,7 @@ from cmbot.planning.job import (
     BaselineSegment as BaselineSegment,
     Job as Job,
     Segment as Segment,
+    force_share as force_share,
     free_move_name as free_move_name,
     job_metrics as job_metrics,
 )

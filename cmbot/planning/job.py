@@ -11,12 +11,14 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.common.representation import ShortRepr
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples
 from cmbot.planning.task import ToolTask
+from cmbot.robot import Robot
 from cmbot.scene import StrokeFile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
@@ -30,6 +32,16 @@ _PLACES_OF_A_PIECE, _SAME_TIME = 6, 1e-9
 def stands_of(name: str, ramp: float) -> tuple[float, float]:
     """Return how long the arm stands before and after a free move: beside strokes for the force's `ramp`."""
     return ramp * (name != APPROACH), ramp * (name != RETURN)
+
+
+def force_share(robot: Robot, t: FloatArray, duration: float, name: str = "") -> FloatArray:
+    """Return the share of the process force on a free move, at times `t` (N,), s, on its own clock.
+
+    Beside strokes it ends, and sets in again, while the arm stands; without a ramp it is off all along.
+    """
+    before, after = stands_of(name, robot.tool_ramp)
+    share = 1 - robot.force_share(t) if before else np.zeros_like(t)
+    return share + robot.force_share(t - (duration - after)) if after else share
 
 
 def free_move_name(stroke: int) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.planning import Plan
+from cmbot.planning import Plan, force_share
 from cmbot.robot import Robot
 from cmbot.toolpath import ToolPath
 from cmbot.trajectory import QuinticTrajectory
@@ -36,14 +36,10 @@ class WorkPart:
     begin: float
 
     def force_share(self, robot: Robot, times: FloatArray) -> FloatArray:
-        """Return the share of the process force at `times` (N,) on its own clock.
-
-        Between strokes it ends, and sets in again, while the arm stands.
-        """
-        if self.path is not None or not robot.tool_ramp:
-            return np.full_like(times, float(self.path is not None))
-        after = times - (self.motion.duration - robot.tool_ramp)
-        return 1 - robot.force_share(times) + robot.force_share(after)
+        """Return the share of the process force at `times` (N,) on its own clock."""
+        if self.path is not None:
+            return np.ones_like(times)
+        return force_share(robot, times, self.motion.duration)
 
     def states(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration at `times` (N,) on its own clock, after it its last."""

@@ -1,6 +1,7 @@
 """The process: a force on the tool while it is on, and a bound of its speed."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -314,3 +315,23 @@ def test_a_force_that_sets_in_slowly_is_simulated(ramped_plan: Plan, strokes_pla
         simulated = np.linalg.norm(tracking.dynamic[tracking.t <= first.duration], axis=1).max()
         assert simulated == pytest.approx(most[-1], rel=0.02)
     assert most[0] < 0.5 * most[1]
+
+
+def test_samples_have_the_force_as_it_sets_in(ramped_plan: Plan) -> None:
+    """The wrench on the base has no step where work begins and ends, of the baseline neither."""
+    segments = ramped_plan.job.segments
+    planned = [ramped_plan.segment_samples[segment.name] for segment in segments]
+    for each in (planned, [segment.samples for segment in ramped_plan.baseline.segments]):
+        for before, after in pairwise(each):
+            np.testing.assert_allclose(before.guardrail_force[-1], after.guardrail_force[0], atol=1e-6)
+            np.testing.assert_allclose(before.joint_torque[-1], after.joint_torque[0], atol=1e-6)
+    # On the approach the weight alone until it stands; then the force, half of it half-way.
+    (approach, work), robot = planned[:2], ramped_plan.robot
+    weight = approach.guardrail_force[0]
+    by_force = work.guardrail_force[0] - weight
+    assert np.linalg.norm(by_force) == pytest.approx(np.linalg.norm(robot.tool_force), rel=1e-9)
+    left = segments[0].duration - approach.t
+    share = (approach.guardrail_force - weight) @ by_force / (by_force @ by_force)
+    np.testing.assert_allclose(np.interp(-0.5 * RAMP, -left, share), 0.5, atol=0.01)
+    off = Dynamics(robot.tool_off).efforts(*segments[0].trajectory.states(approach.t)).guardrail_force
+    np.testing.assert_allclose(approach.guardrail_force[left > RAMP], off[left > RAMP], atol=1e-9)

@@ -14,7 +14,7 @@ from cmbot.common.representation import ShortRepr
 from cmbot.elastic.sag import Sag
 from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics, Postures, Robot
+from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +121,7 @@ def measure(
     sag: Sag | None = None,
     *,
     clearance: FloatArray | None = None,
+    share: FloatArray | None = None,
 ) -> Samples:
     """Measure a motion at its samples.
 
@@ -136,9 +137,16 @@ def measure(
         Where it is compensated: the tool's predicted displacement.
     clearance : (N,), m, optional
         Where it is known already.
+    share : (N,), optional
+        Of the robot's process force that acts; left out: all of it.
     """
     q, v, a, j = motion
     efforts = Dynamics(robot).efforts(q, v, a)
+    if share is not None and robot.pushed:
+        # Efforts are linear in the force.
+        off = vars(Dynamics(robot.tool_off).efforts(q, v, a))
+        on = vars(efforts)
+        efforts = Efforts(**{name: off[name] + share[:, None] * (on[name] - off[name]) for name in off})
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
     expected = None if sag is None else p_WT + sag.along(t, q)
     point = p_WT if expected is None else expected

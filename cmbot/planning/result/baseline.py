@@ -19,6 +19,7 @@ from cmbot.planning.job import (
     BaselineSegment,
     Timeline,
     at_work,
+    force_share,
     free_move_name,
     job_metrics,
     stands_of,
@@ -82,14 +83,14 @@ def baseline_of(
     if not each:
         return None
     segments, at, begin = list[BaselineSegment](), start, 0.0
-    off = robot.tool_off
 
     def move(name: str, goal: FloatArray, task: ToolTask) -> None:
         if np.abs(goal - at).max() <= SAME_POSTURE:
             return
-        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP, stands_of(name, robot.tool_ramp))
-        samples = measure(off, task.held_at_start(), clearances, t, motion)
-        add(name, "free", samples, figures(off, samples))
+        t, motion = quickest_straight(robot.limits, at, goal, SAMPLE_STEP, stands_of(name, robot.tool_ramp))
+        share = force_share(robot, t, float(t[-1]), name)
+        samples = measure(robot, task.held_at_start(), clearances, t, motion, share=share)
+        add(name, "free", samples, figures(robot.tool_off, samples))
 
     def add(name: str, kind: Literal["stroke", "free"], samples: Samples, measured: MotionMetrics) -> None:
         nonlocal begin

@@ -33,7 +33,7 @@ from cmbot.hold import AdhesionPeak
 from cmbot.planning.certification.certificate import Certificate
 from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.certification.sag_spread import across_path, spread_times
-from cmbot.planning.job import APPROACH, Job, Segment
+from cmbot.planning.job import APPROACH, Job, Segment, force_share
 from cmbot.planning.request import end_posture_of, strokes_of
 from cmbot.planning.result.baseline import Baseline, baseline_of, joined_samples
 from cmbot.planning.result.holding import emergency_stop
@@ -311,10 +311,11 @@ class Plan(StrokePlan):
         t = step * np.arange(int(np.floor(duration / step * (1 + 1e-12))) + 1, dtype=np.float64)
         t = t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)
         motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
-        at_work = segment.kind == "stroke"
-        robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
+        sag, share = self.sag, None
+        if segment.kind == "free":
+            sag, share = None, force_share(self.robot, t, duration, segment.name)
         distances = segment.distances(clearances, self.options.safety_margin_m)
-        return measure(robot, segment.task, distances, t, motion, sag)
+        return measure(self.robot, segment.task, distances, t, motion, sag, share=share)
 
     @cached_property
     def deviation_with_spread(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
