@@ -317,3 +317,20 @@ def test_a_load_that_joints_do_not_bear_is_named_with_one_that_they_do(
     assert not any(each.key.startswith("tool_path") for each in precheck_scene(lighter).warnings)
     with pytest.raises(PlanningError, match=re.escape(f"{key} {remedy[1]} instead of ")):
         plan(scene, options=replace(scene.planner, time_limit_s=5.0))
+
+
+def test_a_circle_below_reach_is_told_how_far_to_move_it() -> None:
+    """By more than what its worst place misses: others miss in other directions."""
+    data = load_scene("mast_inspection").as_data()
+    turn = {"arc": {"centre": [0.6, 0, 0.5], "axis": [1, 0, 0], "angle_deg": 360}, "seconds": 9}
+    begin = {"xyz": [0.6, 0.1, 0.5], "axis": [1, 0, 0]}
+    data |= {"tool_path": {"keep": "axis", "from": begin, "legs": [turn]}, "obstacles": []}
+    (found,) = (each for each in precheck_scene(load_scene(data)).warnings if "out of reach" in str(each.got))
+    told = re.search(r"moved by \((.*?)\) m the path is within reach, obstacles aside", found.expected)
+    assert told is not None
+    by = np.array([float(part) for part in told[1].split(",")])
+    miss = float(re.search(r"the nearest is ([\d.]+) mm", str(found.got))[1])
+    assert 1e3 * np.linalg.norm(by) > 1.2 * miss
+    begin["xyz"] = (begin["xyz"] + by).tolist()
+    turn["arc"]["centre"] = (turn["arc"]["centre"] + by).tolist()
+    assert not any("out of reach" in str(each.got) for each in precheck_scene(load_scene(data)).warnings)

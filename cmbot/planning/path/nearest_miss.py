@@ -20,8 +20,8 @@ from cmbot.scene import AxisCone, Keep
 # stroke, and of all together, and at least; as many ends of legs come on top.
 _PLACE_DISTANCE_M, _MIN_LEG_STEPS = 0.05, 4
 _MAX_STROKE_PLACES, _ALL_PLACES, _MIN_PLACES = 64, 480, 6
-# By how many times what is missing a path is moved.
-_MORE_MOVED = 1.1
+# By how many times what is missing a path is moved: the first one that does.
+_MORE_MOVED = (1.1, 3.0, 10.0)
 # A margin of zero has no shares.
 _MIN_MARGIN_M = 1e-9
 
@@ -106,12 +106,14 @@ class NearestMiss:
         if self.missed.is_held or request.cell.robot.fixed_tool is not None:
             return
         tool = request.cell.postures.tool_at(self.missed.best[None]).tool_point[0]
-        # As it is told.
-        by = np.round(_MORE_MOVED * (tool - there.point[self.missed.place]), 3) + 0.0
-        moved = replace(there, point=there.point + by)
-        if worst_missed(request.cell.robot, request.task, moved, request.state.posture) is None:
-            how = ", ".join(f"{x:.3f}" for x in by)
-            yield f"moved by ({how}) m the path is within reach, obstacles aside"
+        for times in _MORE_MOVED:
+            # As it is told.
+            by = np.round(times * (tool - there.point[self.missed.place]), 3) + 0.0
+            moved = replace(there, point=there.point + by)
+            if worst_missed(request.cell.robot, request.task, moved, request.state.posture) is None:
+                how = ", ".join(f"{x:.3f}" for x in by)
+                yield f"moved by ({how}) m the path is within reach, obstacles aside"
+                return
 
     @property
     def pair(self) -> tuple[str, str] | None:
