@@ -167,6 +167,16 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
     assert (here / "own.yaml").read_text(encoding="utf-8") == text
 
 
+def test_of_a_tool_point_out_of_reach_the_nearest_one_is_told() -> None:
+    """Where only the point is kept the two are as far apart as is said, along the line to the arm."""
+    said = refusal("new", "--from", "panda", "--tool-at", "9", "0", "0", status=3)
+    found = re.search(r"; the nearest is (\S+) mm off.*, at \((.*)\) m$", said)
+    assert found is not None
+    at = np.array([float(part) for part in found[2].split(",")])
+    assert 1e3 * np.linalg.norm(at - [9, 0, 0]) == pytest.approx(float(found[1]), rel=1e-2)
+    assert abs(at[1]) < 0.05 and 0.8 < at[0] < 1.1
+
+
 @pytest.mark.parametrize(
     ("words", "message", "status"),
     [

@@ -82,11 +82,7 @@ class NearestMiss:
         held = f"{held} {missed.attempts} attempts"
         if proven:
             held = f"no posture within the joint ranges holds the tool's {kept} (proven)"
-        off = f"{1e3 * missed.distance:.3g} mm"
-        if kept != "position":
-            off += f" and {np.degrees(missed.angle):.2g} deg"
-        end = f" ({missed.joint} at an end)" if missed.joint else ""
-        return f"out of reach at {self.where}: {held}, the nearest is {off} off{end}; {also}"
+        return f"out of reach at {self.where}: {held}, {missed.off(kept)}; {also}"
 
     def remedy(self) -> str:
         """Return what was tried and has a posture for every place; empty where nothing does."""

@@ -68,6 +68,13 @@ class MissedPlace:
     angle: float
     joint: str
 
+    def off(self, kept: str) -> str:
+        """Return how far the nearest posture has the tool off its place, where `kept` of it is kept."""
+        off = f"{1e3 * self.distance:.3g} mm"
+        if kept != "position":
+            off += f" and {np.degrees(self.angle):.2g} deg"
+        return f"the nearest is {off} off{f' ({self.joint} at an end)' if self.joint else ''}"
+
 
 def worst_missed(
     robot: Robot, task: ToolTask, goals: ToolPoses, known: FloatArray, violation: Violation | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -13,6 +13,7 @@ from cmbot.collision import Obstacle
 from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, PlanningError
 from cmbot.common.reading.validation import counted
+from cmbot.planning.path.place_search import worst_missed
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.postures.sampler import PostureSampler
 from cmbot.planning.task import ToolTask
@@ -191,7 +192,7 @@ class _Search:
             return (
                 f"no start posture: none of {_RESTARTS} random ones leads to one that holds {held} within "
                 f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, {within} its "
-                f"reach of {self._robot.reach:.3f} m (lengths are in metres)"
+                f"reach of {self._robot.reach:.3f} m (lengths are in metres){self._nearest(task)}"
             )
         strong = q[self._strong(q)]
         text = (
@@ -210,6 +211,17 @@ class _Search:
             if own and clear.distance[k] < _MARGIN_SHARES[-1] * PlannerOptions().safety_margin_m:
                 return f"{text}: choose another place; or robot.srdf says that these may touch"
         return f"{text}; none is clear, not singular, and can follow a short leg"
+
+    def _nearest(self, task: ToolTask) -> str:
+        """How far the nearest posture is off a task, and where it has the tool."""
+        left = _RANGE_LEFT * np.where(np.isfinite(self._limits.range_half), self._limits.range_half, 0.0)
+        limits = replace(self._limits, lower=self._limits.lower + left, upper=self._limits.upper - left)
+        begin = sampled_postures(limits.lower, limits.upper, 1)[0]
+        robot, goals = replace(self._robot, limits=limits), task.goals(np.zeros(1))
+        if (missed := worst_missed(robot, task, goals, begin)) is None:
+            return ""
+        where = ", ".join(f"{x:.4f}" for x in self._batch.tool_at(missed.best[None]).tool_point[0])
+        return f"; {missed.off(task.keep)}, at ({where}) m"
 
     def _too_weak(self, q: FloatArray) -> str:
         """The joint that is too weak in the posture of `q` (N, n) that comes nearest, its need and limit."""
