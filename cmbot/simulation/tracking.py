@@ -114,7 +114,9 @@ class MotionTracking(ShortRepr):
         return self._some(between) if between.any() else None
 
     def _some(self, which: BoolArray) -> MotionTracking:
-        arrays = {name: each[which] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        arrays: dict[str, Any] = {
+            name: each[which] for name, each in vars(self).items() if isinstance(each, np.ndarray)
+        }
         return replace(self, **arrays)
 
     @property
