@@ -76,6 +76,7 @@ from cmbot.planning.result.plan import (
 )
 from cmbot.planning.result.rows import (
     LOAD_HEADINGS as LOAD_HEADINGS,
+    about_point as about_point,
     load_point as load_point,
     load_rows as load_rows,
     loads as loads,

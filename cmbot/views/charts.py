@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment, baseline_faults
+from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment, about_point, baseline_faults
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
@@ -85,6 +85,7 @@ class Chart:
     note: str = ""  # explanation below the title
     work: tuple[float, float | None] = (0.0, None)  # when it begins, s, and ends, where what follows is shown
     free: str = ""  # why the free moves have no curves
+    moves: tuple[tuple[float, float], ...] = ()  # when free moves between strokes begin and end, s
 
     def scaled_to_plan(self, least: float = 0.0) -> Chart:
         """Return it with an axis that the planned motion decides, where the baseline goes far beyond.
@@ -122,9 +123,13 @@ class Chart:
 
 def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     """Yield the large plots, in the order of the page."""
-    yield _torque(plan)
-    yield _clearance(plan)
-    yield _tool_deviation(plan)
+    first, last = plan.job.strokes[0], plan.job.strokes[-1]
+    between = (
+        each for each in plan.job.segments if each.kind == "free" and first.end <= each.begin < last.begin
+    )
+    moves = tuple((each.begin, each.end) for each in between)
+    for chart in (_torque(plan), _clearance(plan), _tool_deviation(plan)):
+        yield replace(chart, moves=moves)
     if tracking is not None:
         begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.
@@ -249,7 +254,7 @@ def deviation_of(samples: Samples) -> FloatArray:
 
 def torque_chart(plan: Plan, curves: tuple[Curve, ...]) -> Chart:
     """Return the torque on the base that is a plan's."""
-    title, axis = f"Torque on the {plan.scene.base_name}", (0.0, ROOM * _highest(curves))
+    title, axis = f"Torque on the {plan.scene.base_name}{about_point(plan)}", (0.0, ROOM * _highest(curves))
     return Chart(key="torque", title=title, unit="Nm", digits=1, curves=curves, axis=axis)
 
 

@@ -34,7 +34,7 @@ _MOTION_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
 _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
 _LINE_STYLES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
-_PLOT_WIDTH_IN, _PLOT_HEIGHT_IN = 6.7, 2.6
+_PLOT_WIDTH_IN, _PLOT_HEIGHT_IN, _MOST_LEGEND_COLUMNS = 6.7, 2.6, 3
 # Keys are literals of matplotlib's own to its type hints.
 _MATPLOTLIB_STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -141,12 +141,17 @@ def _chart(chart: Chart) -> Figure:
     for level, name in chart.marks:
         axes.axhline(level, color="black", linewidth=0.8, linestyle="--", label=name)
     outside, (begin, end) = [], chart.work
+    for span in chart.moves:
+        axes.axvspan(*span, color="0.93", linewidth=0, zorder=-1, label="free moves, as planned")
+    edge: dict[str, Any] = {"color": "0.6", "linewidth": 0.6, "label": "begin and end of the work"}
     if any(curve.t[0] < begin for curve in chart.curves):
-        axes.axvline(begin, color="0.6", linewidth=0.6)
+        axes.axvline(begin, **edge)
         outside.append(f"the approach before {begin:.1f}")
     if end is not None:
-        axes.axvline(end, color="0.6", linewidth=0.6)
+        axes.axvline(end, **edge)
         outside.append(f"the return after {end:.1f}")
+    if any(curve.starts and curve.motion == "baseline" for curve in chart.curves) and not chart.free:
+        outside.append("the baseline waits where it has no line")
     axes.set_xlabel(f"time, s ({', '.join(outside)})" if outside else "time, s")
     axes.set_ylabel(chart.unit)
     axes.set_title(chart.title, loc="left")
@@ -234,7 +239,7 @@ def _rows(label: str, tracking: Tracking, count: int) -> tuple[Figure, list[Axes
     rows = list(figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     for axes in rows:
         for _, motion in tracking.motions:
-            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+            axes.axvline(motion.stop, color="0.6", linewidth=0.6, label="the joints stop")
     rows[-1].set_xlabel("time after the work began, s")
     figure.align_ylabels(rows)
     return figure, rows
@@ -256,4 +261,5 @@ def _forbidden(axes: Axes, low: float, high: float) -> None:
 def _legend(figure: Figure, axes: Axes) -> None:
     # A label of both motions appears once.
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=len(handles))
+    columns = min(len(handles), _MOST_LEGEND_COLUMNS)
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)

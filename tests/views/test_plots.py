@@ -2,6 +2,8 @@
 
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -15,9 +17,10 @@ from matplotlib.patches import Rectangle
 
 import cmbot
 from cmbot.common.errors import InputError, MissingExtra
-from cmbot.planning import Plan
+from cmbot.planning import Plan, robot_of
 from cmbot.simulation import Tracking
 from cmbot.views import figure_files, plot, plots
+from cmbot.views.charts import torque_chart
 
 PLAN = ("guardrail_torque", "joints", "clearance", "tool_deviation")
 TRACKING = ("tracking_error", "tracking_path")
@@ -152,7 +155,10 @@ def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_track
             np.testing.assert_allclose(dotted.get_ydata(), 1e3 * motion.static[:, number])
         assert axes.get_ylabel().endswith(f"along {'xyz'[number]}, mm")
     (legend,) = tracked["tracking_error"].legends
-    assert [text.get_text() for text in legend.get_texts()] == ["baseline", "planned", "static part"]
+    assert [text.get_text() for text in legend.get_texts()] == [
+        *("the joints stop", "baseline"),
+        *("planned", "static part"),
+    ]
 
 
 def test_files_are_pictures_the_same_every_time_and_settings_stay(short_plan: Plan) -> None:
@@ -178,3 +184,24 @@ def test_what_cannot_be_plotted_is_refused(short_plan: Plan, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtra, match=r"matplotlib is not installed; run: pip install .*\[plots\]"):
         plot(short_plan)
+
+
+def test_free_moves_between_strokes_are_shaded_and_every_line_has_a_name(strokes_plan: Plan) -> None:
+    torque = labelled(plot(strokes_plan))["guardrail_torque"]
+    (axes,) = torque.axes
+    (move,) = (each for each in strokes_plan.job.segments if each.name == "free_1")
+    spans = [(span.get_x(), span.get_x() + span.get_width()) for span in axes.patches]
+    assert spans == [pytest.approx((move.begin, move.end))]
+    drawn = {str(line.get_label()) for line in axes.get_lines()} | {"free moves, as planned"}
+    assert {text.get_text() for text in torque.legends[0].get_texts()} == drawn
+    assert not any(name.startswith("_") for name in drawn)
+
+
+def test_the_torque_says_about_which_point_it_is(short_plan: Plan) -> None:
+    """On a guardrail it is about the foot; else the point is in its title."""
+    mast = cmbot.load_scene("mast_inspection")
+    point = robot_of(mast).foot_point
+    standing: Any = SimpleNamespace(scene=mast, robot=robot_of(mast))
+    about = f" about ({', '.join(f'{x:.3g}' for x in point)}) m"
+    assert torque_chart(standing, ()).title == f"Torque on the mast{about}"
+    assert torque_chart(short_plan, ()).title == "Torque on the guardrail"

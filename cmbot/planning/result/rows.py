@@ -104,8 +104,8 @@ def _tool(plan: Plan) -> Iterator[Row]:
         (swayed, swung), swing = plan.baseline_sway or (None, None), 1e-3 * sway.swing_mm
         of = f", stiffness ±{100 * sway.stiffness_share:g} %"
         # Of several, each is integrated alone; `simulate` has what free moves leave, too.
-        after = "a stroke, free moves left out" if plan.several else "the work"
-        yield _row(f"tool swings after {after}{of}", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
+        what = "a stroke, free moves left out" if plan.several else "the work"
+        yield _row(f"tool swings after {what}{of}", "sway.swing_mm", "mm", ".3f", swing, swung, first=True)
         # A process force that sets in sways the tool by more than it swings at last.
         name, size, first = f"largest sway at work{of}", 1e-3 * sway.sway_mm, plan.robot.pushed
         yield _row(name, "sway.sway_mm", "mm", ".3f", size, swayed, first=first)
@@ -172,8 +172,7 @@ def _holding(plan: Plan) -> Iterator[Row]:
 def _base(plan: Plan) -> Iterator[Row]:
     """What the base bears."""
     base, part = plan.scene.base_name, "static" if plan.robot.pushed else "gravity"
-    # On a guardrail it is about the foot.
-    about = "" if plan.scene.on_guardrail else f" about ({', '.join(f'{x:.3g}' for x in load_point(plan))}) m"
+    about = about_point(plan)
     yield from _metrics(
         plan,
         (f"peak torque on the {base}{about}, whole job", "peak_guardrail_torque", "Nm", ".2f", True),
@@ -313,6 +312,11 @@ def loads(plan: Plan) -> tuple[Load, ...]:
 def load_point(plan: Plan) -> FloatArray:
     """Return the point (3,), m, in W, about which `loads` has torques: the origin of the base's link."""
     return np.array(plan.robot.foot_point)
+
+
+def about_point(plan: Plan) -> str:
+    """Return in words about which point the torque on a base is; empty on a guardrail: about the foot."""
+    return "" if plan.scene.on_guardrail else f" about ({', '.join(f'{x:.3g}' for x in load_point(plan))}) m"
 
 
 def _loads(plan: Plan) -> Iterator[Load]:
