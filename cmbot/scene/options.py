@@ -73,7 +73,7 @@ class PlannerOptions(CheckedFields, ShortRepr):
     baseline : str
         The motion without optimisation that the plan is compared with. ``paper``: Chang 2021, Eq. (22), from
         the scene's posture, by the paper's trapezoid in the same time where the plan's law is quiet: it
-        cruises at another speed. ``straight``: least-norm steps along the same path, timed as the plan is,
+        cruises at another speed. ``straight``: least-norm steps along the same path, timed there as the plan,
         which is Eq. (22) without its part in the null space. ``none``: the figures stand alone.
     avoidance : str
         ``smooth``: the clearance gradient fades in, and blends from one near pair to the next. ``switch``:
