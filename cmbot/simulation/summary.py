@@ -51,16 +51,12 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
     each = [motion for _, motion in tracking.motions]
     sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
     rows = {sag: [motion.metrics.static.mean[3] for motion in each]}
-    parts = _parts_in_time(tracking)
+    parts, driven = _parts_in_time(tracking), all(motion.execution is not None for motion in each)
     for when, some in parts.items():
-        rows[f"tool sways beside its sag{when}, at most"] = [
-            motion.largest(motion.dynamic) for motion in some
-        ]
+        rows[f"tool sways beside its sag{when}, at most"] = [one.largest(one.dynamic) for one in some]
+        if driven:
+            rows[f"tool off by how joints are driven{when}, at most"] = [*map(_largest_execution, some)]
     rows["tool off its path as simulated, at most"] = [motion.largest_off_path for motion in each]
-    if all(motion.execution is not None for motion in each):
-        for when, some in parts.items():
-            name = f"tool off by how joints are driven{when}, at most"
-            rows[name] = [_largest_execution(motion) for motion in some]
     swings = [motion.metrics.residual.diameter for motion in each if motion.metrics.residual is not None]
     if len(swings) == len(each):
         rows[f"tool swings after the work{', free moves included' * (len(parts) > 1)}"] = swings
