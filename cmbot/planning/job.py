@@ -187,6 +187,12 @@ class Timeline(Generic[T], ShortRepr):
         """The segments with the tool on."""
         return tuple(segment for segment in self.segments if segment.kind == "stroke")
 
+    @property
+    def moves_between(self) -> tuple[T, ...]:
+        """The free moves between strokes."""
+        fixed = {APPROACH, RETURN, *(stroke.name for stroke in self.strokes)}
+        return tuple(segment for segment in self.segments if segment.name not in fixed)
+
     def segment(self, name: str) -> T | None:
         """Return the segment of that name; None where there is none."""
         return next((segment for segment in self.segments if segment.name == name), None)

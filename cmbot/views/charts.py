@@ -85,7 +85,6 @@ class Chart:
     note: str = ""  # explanation below the title
     work: tuple[float, float | None] = (0.0, None)  # when it begins, s, and ends, where what follows is shown
     free: str = ""  # why the free moves have no curves
-    moves: tuple[tuple[float, float], ...] = ()  # when free moves between strokes begin and end, s
 
     def scaled_to_plan(self, least: float = 0.0) -> Chart:
         """Return it with an axis that the planned motion decides, where the baseline goes far beyond.
@@ -123,13 +122,9 @@ class Chart:
 
 def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     """Yield the large plots, in the order of the page."""
-    first, last = plan.job.strokes[0], plan.job.strokes[-1]
-    between = (
-        each for each in plan.job.segments if each.kind == "free" and first.end <= each.begin < last.begin
-    )
-    moves = tuple((each.begin, each.end) for each in between)
-    for chart in (_torque(plan), _clearance(plan), _tool_deviation(plan)):
-        yield replace(chart, moves=moves)
+    yield _torque(plan)
+    yield _clearance(plan)
+    yield _tool_deviation(plan)
     if tracking is not None:
         begin, note = work_begins(plan), _ERROR_CAPTION if plan.compensation is None else _COMPENSATED_CAPTION
         # One that keeps the limits is shown whole: how far it bends is what a plan may make up for.

@@ -89,7 +89,7 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
         if isinstance(result, Tracking):
             return _tracking_error(result), _path_and_torque(result)
         # An infinite clearance has no curve.
-        torque, *others = (_chart(chart) for chart in charts(result, None) if chart.curves)
+        torque, *others = (_chart(result, chart) for chart in charts(result, None) if chart.curves)
         return torque, _joints(result), *others
 
 
@@ -124,7 +124,7 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
                 yield f"{figure.get_label()}.{suffix}", content.getvalue()
 
 
-def _chart(chart: Chart) -> Figure:
+def _chart(plan: Plan, chart: Chart) -> Figure:
     """Draw a chart of the report's page."""
     figure = _figure(_QUANTITY_OF_PLOT[chart.key], _PLOT_HEIGHT_IN)
     axes = figure.subplots()
@@ -141,8 +141,8 @@ def _chart(chart: Chart) -> Figure:
     for level, name in chart.marks:
         axes.axhline(level, color="black", linewidth=0.8, linestyle="--", label=name)
     outside, (begin, end) = [], chart.work
-    for span in chart.moves:
-        axes.axvspan(*span, color="0.93", linewidth=0, zorder=-1, label="free moves, as planned")
+    for move in plan.job.moves_between:
+        axes.axvspan(move.begin, move.end, color="0.93", zorder=-1, label="free moves, as planned")
     edge: dict[str, Any] = {"color": "0.6", "linewidth": 0.6, "label": "begin and end of the work"}
     if any(curve.t[0] < begin for curve in chart.curves):
         axes.axvline(begin, **edge)

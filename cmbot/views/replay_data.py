@@ -62,8 +62,6 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     times = frame_times(0.0, work_end - begin, step)
     knots, strokes = plan.job.trajectory, zip(plan.job.strokes, plan.strokes, strict=True)
     legs = [segment.begin + stroke.task.path.leg_times for segment, stroke in strokes]
-    segments = [[each.name, each.begin, each.end] for each in plan.job.segments]
-    fixed = {APPROACH, RETURN, *(stroke.name for stroke in plan.job.strokes)}
     motions = {
         "title": plan.scene.name,
         "start": start,
@@ -71,8 +69,8 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "workEnd": work_end,
         "end": end,
         "legTimes": np.unique(np.concatenate(legs)).tolist(),
-        "moves": [segment for segment in segments if segment[0] not in fixed],
-        "segments": segments,
+        "moves": [[each.name, each.begin, each.end] for each in plan.job.moves_between],
+        "segments": [[each.name, each.begin, each.end] for each in plan.job.segments],
         "knots": {name: pack_exactly(getattr(knots, name)) for name in ("t", "q", "v", "a")},
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
