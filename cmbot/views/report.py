@@ -506,7 +506,7 @@ def _key(plan: Plan) -> str:
     key = '<i class="swatch planned"></i>planned'
     if plan.baseline is None:
         return key
-    motion = "straight steps, timed as the plan is"
+    motion = "straight steps, timed as the plan is along strokes alone"
     if plan.options.baseline == "paper":
         motion = "the paper's motion, in the same time by its own trapezoid where the plan's law is quiet"
     return f'{key} <i class="swatch baseline"></i>{escape(f"baseline: {motion}, not optimised")}'
