@@ -22,7 +22,6 @@ from cmbot.archive.verification.asked import (
     require_done,
     require_fixed,
     require_promised,
-    require_still,
 )
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
@@ -187,9 +186,7 @@ def read_plan(
     require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
-    if asked is not None:
-        require_done(plan, asked, promised, str(source))
-    require_still(plan, resolved, str(source))
+    require_done(plan, asked, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))
     if resolved.knots == "fixed":
         require_fixed(plan, resolved, str(source))

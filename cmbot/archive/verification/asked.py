@@ -33,7 +33,7 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
 }
 
 # How far joints of an arm that stands may move, rad or m.
-_STILL = 1e-6
+_STANDS = 1e-6
 # How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
 _MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
 # By which share of a surface two searches of what is reached may differ.
@@ -178,19 +178,20 @@ def require_still(plan: Plan, options: PlannerOptions, source: str) -> None:
     ramp = plan.robot.tool_ramp
     for segment in plan.job.segments:
         moved = segment.moved_in_ramps(ramp) if segment.kind == "free" else 0.0
-        if moved > _STILL:
+        if moved > _STANDS:
             got = f"an arm that moves {moved:.3g} rad (or m) while the process force sets in or ends"
             expected = f"one that stands for tool.process_ramp_s, {ramp:g} s, beside strokes"
             raise ArchiveError(source, segment.name, got, expected)
 
 
-def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str) -> None:
-    """Refuse a plan that leaves out rows which the arm reaches.
+def require_done(plan: Plan, asked: Scene | None, options: PlannerOptions, source: str) -> None:
+    """Refuse a plan as `require_still` does, and one that leaves out rows which the arm reaches.
 
     Parameters
     ----------
     plan : Plan
-    asked : Scene
+    asked : Scene or None
+        None: what rows the arm reaches is not known.
     options : PlannerOptions
         As asked.
     source : str
@@ -200,8 +201,9 @@ def require_done(plan: Plan, asked: Scene, options: PlannerOptions, source: str)
     ------
     ArchiveError
     """
+    require_still(plan, options, source)
     own = plan.coverage
-    if not any(cover.unreached for cover in own.values()):
+    if asked is None or not any(cover.unreached for cover in own.values()):
         return
     X_WT = Kinematics(plan.robot).tool_pose(np.array(asked.posture)).homogeneous
     reached = coverage_of(reached_scene(asked, options).timed_strokes(X_WT))
