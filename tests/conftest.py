@@ -5,7 +5,7 @@ import math
 import os
 import re
 import signal
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,9 +49,14 @@ settings.load_profile("fixed")
 providers.is_local_module_file = lambda path: False  # type: ignore[attr-defined]
 
 
-def pytest_collection_finish() -> None:
-    """What is loaded by now stays to the end: the collector of garbage need not look at it again."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What tests load stays to the end: the collector of garbage looks at it neither now nor later."""
+    gc.disable()
+    loaded = yield
     gc.freeze()
+    gc.enable()
+    return loaded
 
 
 @pytest.fixture(scope="session", autouse=True)
