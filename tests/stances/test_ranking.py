@@ -306,13 +306,11 @@ FEW = replace(WIDE, members=("post_3",))
 SOME = replace(WIDE, members=("post_3", "top_rail"))
 
 
-def test_no_best_stance_is_worse_than_the_scenes(quick: Scene) -> None:
+def test_no_best_stance_is_worse_than_the_scenes(ranking: StanceRanking) -> None:
     """Of one that is better than any on another grid."""
-    (better,) = stand(quick, FEW)
-    good = best_scene(better)
-    (found,) = stand(good, replace(FEW, spacing=2.2))
-    peak = plan(good).objective.planned_peak
-    assert found.best.plan.objective.planned_peak <= peak * (1 + 1e-9)
+    (found,) = stand(good := best_scene(ranking), replace(FEW, spacing=2.2))
+    before, after = (each.best.plan.objective.planned_peak for each in (ranking, found))
+    assert after <= before * (1 + 1e-9)
     assert found.best.own
     assert best_scene(found).stance == good.stance
     assert "The scene's own stance is the only one planned." in in_words(found)
@@ -503,7 +501,7 @@ def test_without_time_nothing_is_planned(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"tool_path": {"from": {"xyz": [30, 0.8, -2]}}}, "out of reach; in the .* m from the arm's first"),
+        ({"tool_path": {"from": {"xyz": [30, 0.8, -2]}}}, r"\1 out of reach; in .* m from the arm's first"),
         (
             {"tool_path": {"from": {"xyz": [1.8, 4, -2]}}},
             "in the nearest one, .* nearest is .* mm and .* off",
@@ -516,19 +514,13 @@ def test_without_time_nothing_is_planned(scene: Scene) -> None:
 )
 def test_where_no_stance_reaches_the_path(changes: dict[str, Any], said: str) -> None:
     some = replace(WIDE, members=("post_3",) if "guardrail" in changes else (), plans=0)
-    asked = f"^no stance of [0-9]+ is left for stroke work: .*{said}"
+    asked = f"^no stance of ([0-9]+) is left for stroke work: .*{said}"
     with pytest.raises(PlanningError, match=asked) as caught:
         stand(scene_of("torque", **changes), some)
     if times := re.search(asked, str(caught.value)).groupdict().get("times"):
         # A little more is enough for a posture at every via-point, as of feet with less of safety.
         hold = {**changes["guardrail"]["hold"], "safety": 3.0 / (1.02 * float(times))}
         assert stand(scene_of("torque", guardrail={"hold": hold}), some)[0].waiting
-
-
-def test_where_none_is_within_reach_of_the_links() -> None:
-    away = scene_of("torque", tool_path={"from": {"xyz": [30, 0.8, -2]}})
-    with pytest.raises(PlanningError, match="no stance of 4 is left for stroke work: 4 out of reach; in"):
-        stand(away, replace(WIDE, members=("top_rail",)))
 
 
 def test_members_that_no_foot_holds(scene: Scene) -> None:
@@ -600,10 +592,10 @@ def test_others_sag_no_more_than_the_scenes_own_unless_any_sag_is_allowed() -> N
     assert max(sags) > 1.5 * most
 
 
-def test_the_sag_of_an_own_stance_that_cannot_do_the_work_bounds_no_other() -> None:
+def test_the_sag_of_an_own_stance_that_cannot_do_the_work_bounds_no_other(quick: Scene) -> None:
     wall = {"name": "wall", "box": [0.1, 0.02, 0.1], "xyz": [1.82, 0.6, -2.06]}
-    (found,) = stand(scene_of("torque"), replace(WIDE, plans=0))
-    (walled,) = stand(scene_of("torque", obstacles=[wall]), replace(WIDE, plans=0))
+    (found,) = stand(quick, replace(FEW, plans=0))
+    (walled,) = stand(scene_of("torque", "fixed", obstacles=[wall]), replace(FEW, plans=0))
     assert "own stance sags" in found.sag_limit.source
     assert (walled.sag_limit.most_mm, walled.sag_limit.source) == (50.0, "an assumption of ours")
 
@@ -613,7 +605,7 @@ def test_a_tolerance_bounds_the_sag_that_is_not_compensated() -> None:
     planner = {"objective": "torque", "knots": "sliding"}
     for compensate, most in ((False, 4.0), (True, None)):
         asked = short_scene(planner=planner | {"compensate": compensate}, tool=tool)
-        (found,) = stand(asked, replace(WIDE, plans=0))
+        (found,) = stand(asked, replace(FEW, plans=0))
         assert (found.sag_limit.most_mm == most) == (most is not None)
 
 
