@@ -72,10 +72,10 @@ def test_the_tool_follows_its_path_on_the_part(keep: Any) -> None:
 def test_a_held_pose_is_the_job_of_the_flange_that_moves_the_other_way() -> None:
     """A line on the part by d is one of the part by -d: same proven bound of the torque, same peak."""
     start = {"xyz": [-0.03, -0.03, FACE + 0.02], "rpy_deg": [180, 0, 0]}
-    held = {"keep": "pose", "from": start, "via_points": 13, "legs": [{"by": [0.06, 0, 0], "seconds": 3}]}
+    held = {"keep": "pose", "from": start, "via_points": 7, "legs": [{"by": [0.03, 0, 0], "seconds": 2}]}
     # The part's pose with the tool there: the tool's axes are those of W, turned by half a turn about x.
     moved = {"xyz": [0.5 + 0.03, 0.0 - 0.03, 0.3 + FACE + 0.02], "rpy_deg": [180, 0, 0]}
-    usual = held | {"from": moved, "legs": [{"by": [-0.06, 0, 0], "seconds": 3}]}
+    usual = held | {"from": moved, "legs": [{"by": [-0.03, 0, 0], "seconds": 2}]}
     one, other = (
         plan(held_scene(tool_path=path, **more).with_options(objective="torque"))
         for path, more in ((held, {}), (usual, {"tool": {"fixed": None}}))
