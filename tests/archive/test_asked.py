@@ -271,10 +271,10 @@ def test_rows_that_nothing_reaches(tmp_path: Path) -> None:
         for cover in (None, "all")
     )
     folder = save(plan(scene), tmp_path / "rows")
-    (stroke,) = load_plan(folder, verify=True, scene=scene).scene.strokes
+    (stroke,) = load_plan(folder).scene.strokes
     assert stroke.raster is not None
     assert stroke.raster.pieces is not None
-    told = json.loads(output("verify", folder, "--json"))["not_verified"]
+    told = verified_motions(folder, Asked(scenes=(scene,))).not_verified
     assert any(re.match(r"raster work \(that nothing reaches .*, \d+ % of it\)", claim) for claim in told)
     with pytest.raises(ArchiveError, match="as asked"):
         load_plan(folder, verify=True, scene=whole)
