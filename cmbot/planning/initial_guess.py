@@ -228,7 +228,9 @@ def sliding_guess(
     if unfollowed is not None:
         solution, failures = free, (unfollowed,)
     elif isinstance(pinned, GlobalSolution):
-        gain = max(pinned.peak / free.peak, pinned.mean(request.times) / free.mean(request.times)) - 1
+        # Feet that need nothing ask for 0.
+        peak, mean = (max(x, np.finfo(float).tiny) for x in (free.peak, free.mean(request.times)))
+        gain = max(pinned.peak / peak, pinned.mean(request.times) / mean) - 1
         solution = free if may_leave and gain >= options.min_gain else pinned
     elif may_leave:
         solution = free

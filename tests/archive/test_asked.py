@@ -323,6 +323,12 @@ def test_a_raster_in_parts(tmp_path: Path) -> None:
     quicker = parts.with_path(speed_m_s=0.2)
     with pytest.raises(ArchiveError, match=r"strokes\[0\].speed_m_s: got 0.2, expected 0.1, as asked"):
         require_asked(quicker, scene, "plan.json")
+    first, *others = parts.strokes
+    assert first.raster is not None and first.raster.pieces is not None
+    again = replace(first.raster, pieces=first.raster.pieces[:1])
+    twice = parts.with_strokes([first, others[0].changed(raster=again), *others[1:]])
+    with pytest.raises(ArchiveError, match=r"pieces: got row \d+ of .* m, done before, expected each place"):
+        require_asked(twice, scene, "plan.json")
 
 
 def test_work_that_begins_elsewhere_needs_an_approach(returning_plan: Plan, tmp_path: Path) -> None:

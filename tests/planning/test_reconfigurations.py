@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_scenes import panda_scene, request_of
 
-from cmbot.archive import load_plan, save
+from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import plan, with_cuts
 from cmbot.scene import Scene, load_scene
@@ -52,7 +52,8 @@ def test_a_path_is_cut_where_no_posture_leads_on(tmp_path: Path) -> None:
         ends = part.task.path.poses([0.0, part.task.path.duration])
         np.testing.assert_allclose(ends.point, np.array(stroke.waypoints)[[0, -1], :3], atol=1e-9)
     save(made, tmp_path)
-    load_plan(tmp_path, verify=True, scene=asked)
+    told = verified_motions(tmp_path, Asked(scenes=(asked,))).not_verified
+    assert any("that it has to be done in 2 parts, cut and ordered like this" in claim for claim in told)
     with pytest.raises(ArchiveError, match="strokes"):
         load_plan(tmp_path, verify=True, scene=turning_scene(500.0, reconfigurations=0))
     with pytest.raises(ArchiveError, match="waypoints"):

@@ -36,6 +36,8 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
 _STANDS = 1e-6
 # How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
 _MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
+# Pieces of a row that have no more in common touch, m.
+_TOUCHING_M = 1e-6
 # By which share of a surface two searches of what is reached may differ.
 _SAME_AREA = 1e-3
 
@@ -132,6 +134,7 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
             raise ArchiveError(source, f"scene.planner.{name}", shown(value), due)
     _require_same_robot(*given, source)
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
+    _require_once(strokes, source, key)
     expected = _in_parts(asked, strokes, robot_of(asked))
     if best:
         place = {stroke.name: k for k, stroke in enumerate(strokes)}
@@ -144,6 +147,20 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
         same = {name: value for name, value in entries.items() if name in free}
         where = f"{key}[{k}]" if "strokes" in content["tool_path"] else "scene.tool_path"
         require_same(entries, rest | same, source, where, why="asked")
+
+
+def _require_once(strokes: Sequence[StrokeFile], source: str, key: str) -> None:
+    """Refuse parts of a raster that have a place of a row in common."""
+    done = dict[tuple[str, int], list[tuple[float, float]]]()
+    for k, stroke in enumerate(strokes):
+        for piece in (stroke.raster and stroke.raster.pieces) or ():
+            name, row = stroke.part_of or str(stroke.name), piece.row
+            before = done.setdefault((name, row), [])
+            for begin, end in before:
+                if min(end, piece.end_m) - max(begin, piece.begin_m) > _TOUCHING_M:
+                    got = f"row {row} of {name} from {piece.begin_m:g} to {piece.end_m:g} m, done before"
+                    raise ArchiveError(source, f"{key}[{k}].raster.pieces", got, "each place of it once")
+            before.append((piece.begin_m, piece.end_m))
 
 
 def _require_same_robot(scene: Scene, asked: Scene, source: str) -> None:

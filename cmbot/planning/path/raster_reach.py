@@ -68,7 +68,8 @@ def reached_scene(scene: Scene, options: PlannerOptions, deadline: Deadline | No
         if raster is None or stroke.surface is None:
             continue
         cell = raster.pieces or stroke.surface.pieces
-        found, k = [cell], numbers[stroke.file.part_of or stroke.name]
+        found = [cell]
+        k = numbers[stroke.name if stroke.name in numbers else str(stroke.file.part_of)]
         if raster.cover == "reachable" and raster.frame != "tool":
             at = request.at_stroke(number)
             at_first.setdefault(k, at)
