@@ -228,10 +228,8 @@ def sliding_guess(
     if unfollowed is not None:
         solution, failures = free, (unfollowed,)
     elif isinstance(pinned, GlobalSolution):
-        # Feet that need nothing ask for 0.
-        peak, mean = (max(x, np.finfo(float).tiny) for x in (free.peak, free.mean(request.times)))
-        gain = max(pinned.peak / peak, pinned.mean(request.times) / mean) - 1
-        solution = free if may_leave and gain >= options.min_gain else pinned
+        gains = _gain(pinned, free, request.times) >= options.min_gain
+        solution = free if may_leave and gains else pinned
     elif may_leave:
         solution = free
     else:
@@ -267,14 +265,21 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
         GlobalSolution(q=q, value=request.cell.objective.at_rest(request.cell.postures.at(q)))
         for q in (placed, guess.problem.parametrization.via_points)
     ]
-    peaks, means = zip(*((each.peak, each.mean(request.times)) for each in found), strict=True)
     metric = request.cell.robot.metric
     travels = [np.abs(np.diff(metric.coordinates(each.q), axis=0)).sum() for each in found]
-    gain = max(peaks[0] / peaks[1], means[0] / means[1]) - 1
+    gain = _gain(*found, request.times)
     if gain >= request.cell.options.min_gain or travels[0] > _MUCH_LESS_TRAVEL_SHARE * travels[1]:
         return None
     form = parametrization_through(request, placed, sliding=True, pinned=True)
     return replace(guess, problem=TorqueProblem(request, form, 1.0))
+
+
+def _gain(one: GlobalSolution, better: GlobalSolution, times: FloatArray) -> float:
+    """By what share of another solution's peak, or mean, this one's is above it, whichever is more."""
+    # Feet that need nothing ask for 0.
+    least = float(np.finfo(np.float64).tiny)
+    ratios = one.peak / max(better.peak, least), one.mean(times) / max(better.mean(times), least)
+    return max(ratios) - 1
 
 
 def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGuess:

@@ -11,7 +11,7 @@ import pytest
 from oracles.contacts import contacts
 from plan_folders import edit
 from rosbags.highlevel import AnyReader
-from small_scenes import request_of, short_scene
+from small_scenes import panda_scene, request_of, short_scene
 
 import cmbot
 from cmbot.archive import export_mcap, load_plan, save
@@ -366,6 +366,20 @@ def test_a_clamp_holds_the_shipped_jobs(name: str, use: float, tmp_path: Path) -
     # What its plate would need as a magnet is beyond what any on that contact pulls.
     needed = made.robot.holding.needed(0, wrench).max()
     assert needed > MAGNET_PRESSURE * made.robot.feet[0].contact.area > made.robot.feet[0].ceiling
+
+
+def test_feet_that_need_no_adhesion_are_planned() -> None:
+    """Then the objective is zero all along, and another start has nothing to gain."""
+    hold = {"kind": "magnet", "adhesion_n": 3000, "plate_m": [0.8, 0.8]}
+    made = plan(
+        panda_scene(
+            {"legs": [{"by": [0.1, 0, 0], "seconds": 2}], "via_points": 6},
+            base={"name": "pedestal", "hold": hold},
+            planner={"objective": "hold", "baseline": "none"},
+        )
+    )
+    assert made.objective.planned_peak == 0.0
+    assert made.certificate.holds
 
 
 def test_bounds_that_are_advised_leave_room_for_the_motion() -> None:

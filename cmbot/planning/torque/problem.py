@@ -162,7 +162,8 @@ class TorqueProblem:
         sampled = StateSamples.even(parametrization.trajectory, self.samples_per_segment)
         self.grid = sampled.t
         """Times (N,) at which functions of the state are sampled."""
-        self.scale = float(request.objective.values(sampled).max())
+        # Feet that need nothing ask for 0.
+        self.scale = float(request.objective.values(sampled).max()) or 1.0
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
