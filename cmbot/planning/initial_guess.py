@@ -267,7 +267,7 @@ def least_travel_guess(request: StrokeRequest, guess: InitialGuess) -> InitialGu
     ]
     metric = request.cell.robot.metric
     travels = [np.abs(np.diff(metric.coordinates(each.q), axis=0)).sum() for each in found]
-    gain = _gain(*found, request.times)
+    gain = _gain(found[0], found[1], request.times)
     if gain >= request.cell.options.min_gain or travels[0] > _MUCH_LESS_TRAVEL_SHARE * travels[1]:
         return None
     form = parametrization_through(request, placed, sliding=True, pinned=True)
