@@ -190,8 +190,8 @@ class Timeline(Generic[T], ShortRepr):
     @property
     def moves_between(self) -> tuple[T, ...]:
         """The free moves between strokes."""
-        fixed = {APPROACH, RETURN, *(stroke.name for stroke in self.strokes)}
-        return tuple(segment for segment in self.segments if segment.name not in fixed)
+        free = (segment for segment in self.segments if segment.kind == "free")
+        return tuple(segment for segment in free if segment.name not in (APPROACH, RETURN))
 
     def segment(self, name: str) -> T | None:
         """Return the segment of that name; None where there is none."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
+from itertools import pairwise
 from operator import gt, lt, ne
 from pathlib import Path
 from typing import Any
@@ -151,16 +152,16 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
 
 def _require_once(strokes: Sequence[StrokeFile], source: str, key: str) -> None:
     """Refuse parts of a raster that have a place of a row in common."""
-    done = dict[tuple[str, int], list[tuple[float, float]]]()
-    for k, stroke in enumerate(strokes):
-        for piece in (stroke.raster and stroke.raster.pieces) or ():
-            name, row = stroke.part_of or str(stroke.name), piece.row
-            before = done.setdefault((name, row), [])
-            for begin, end in before:
-                if min(end, piece.end_m) - max(begin, piece.begin_m) > _TOUCHING_M:
-                    got = f"row {row} of {name} from {piece.begin_m:g} to {piece.end_m:g} m, done before"
-                    raise ArchiveError(source, f"{key}[{k}].raster.pieces", got, "each place of it once")
-            before.append((piece.begin_m, piece.end_m))
+    done = sorted(
+        (stroke.part_of or str(stroke.name), piece.row, piece.begin_m, piece.end_m, k)
+        for k, stroke in enumerate(strokes)
+        for piece in (stroke.raster and stroke.raster.pieces) or ()
+    )
+    # Of pieces in their order two beside each other overlap where any do.
+    for (*before, _, until, _), (name, row, begin, end, k) in pairwise(done):
+        if before == [name, row] and min(until, end) - begin > _TOUCHING_M:
+            got = f"row {row} of {name} from {begin:g} to {end:g} m, done before"
+            raise ArchiveError(source, f"{key}[{k}].raster.pieces", got, "each place of it once")
 
 
 def _require_same_robot(scene: Scene, asked: Scene, source: str) -> None:

@@ -293,9 +293,9 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
     for name, key in (("lower_bound", "floor"), ("choice", "choice"), ("compensation", _COMPENSATION)):
         if any(getattr(stroke, name) is not None for stroke in plan.strokes):
             yield key
-    for whole, number in Counter(stroke.part_of for stroke in plan.scene.strokes).items():
-        if whole is not None:
-            yield f"{whole} (that it has to be done in {counted(number, 'part')}, cut and ordered like this)"
+    parts = Counter(stroke.part_of for stroke in plan.scene.strokes if stroke.part_of is not None)
+    for whole, number in parts.items():
+        yield f"{whole} (that it has to be done in {counted(number, 'part')}, cut and ordered like this)"
     for name, coverage in plan.coverage.items():
         if coverage.left_out or coverage.unreached:
             share = f"{100 * coverage.left_out / coverage.area:.2g} % of it"

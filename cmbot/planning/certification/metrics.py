@@ -141,11 +141,11 @@ def measure(
         Of the robot's process force that acts; left out: all of it.
     """
     q, v, a, j = motion
-    efforts = Dynamics(robot).efforts(q, v, a)
-    if share is not None and robot.pushed:
+    acts = share is None or bool(share.any())
+    efforts = Dynamics(robot if acts else robot.tool_off).efforts(q, v, a)
+    if acts and share is not None and robot.pushed:
         # Efforts are linear in the force.
-        off = vars(Dynamics(robot.tool_off).efforts(q, v, a))
-        on = vars(efforts)
+        off, on = (vars(each) for each in (Dynamics(robot.tool_off).efforts(q, v, a), efforts))
         efforts = Efforts(**{name: off[name] + share[:, None] * (on[name] - off[name]) for name in off})
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
     expected = None if sag is None else p_WT + sag.along(t, q)
