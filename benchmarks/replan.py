@@ -76,7 +76,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--scenes", type=int, default=12)
     asked = parser.parse_args(words)
     table = Table(
-        "job", "plan, s", "again, s", "most, s", "kept", "optimised", "anew", "refused", "peak, of plan's"
+        "job", "plan, s", "again, s", "most, s", "kept", "changed", "anew", "refused", "peak, of plan's"
     )
     whole = list[float]()
     for number, (name, data, folder) in enumerate(jobs(asked.seed, asked.scenes)):
@@ -96,11 +96,11 @@ def main(words: list[str] | None = None) -> int:
                 continue
             seconds.append(time.process_time() - begin)
             near = again.fallbacks[0].startswith("Planned near")
-            kinds.append(("kept" if again.runs == 1 else "optimised") if near else "anew")
+            kinds.append(("kept" if again.runs == 1 else "changed") if near else "anew")
             peak = max(peak, again.figures.peak_guardrail_torque / plan.figures.peak_guardrail_torque)
             again.job.certificate.require()
         whole += seconds
-        counts = (str(kinds.count(kind)) for kind in ("kept", "optimised", "anew", "refused"))
+        counts = (str(kinds.count(kind)) for kind in ("kept", "changed", "anew", "refused"))
         told = (
             (f"{took:.2f}", f"{np.median(seconds):.2f}", f"{max(seconds):.2f}") if seconds else ("", "", "")
         )

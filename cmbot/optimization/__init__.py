@@ -8,6 +8,7 @@ from cmbot.optimization.constraint_set import OBJECTIVE as OBJECTIVE, Constraint
 from cmbot.optimization.exchange import (
     ExchangeOptions as ExchangeOptions,
     ExchangeReport as ExchangeReport,
+    meet_constraints as meet_constraints,
     minimize_peak as minimize_peak,
 )
 from cmbot.optimization.least_distance import nearest as nearest

@@ -29,6 +29,8 @@ DenseSolver = Callable[[NlpEvaluation, float, int], tuple[NlpEvaluation, int]]
 
 # A smoothing of less than so many tolerances of the peak is not worth a lighter one.
 _SMALL_RATIO = 2.0
+# A motion near an earlier one may have a peak above its own by this factor.
+_NEAR_PEAK = 1.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +220,22 @@ def minimize_peak(
     return exchange.result(bound)
 
 
+def meet_constraints(
+    program: Program,
+    options: ExchangeOptions,
+    progress: Callable[[ExchangeReport], None] | None = None,
+) -> Result:
+    """Find a motion near the start that meets the constraints: the first on the way to the smallest peak.
+
+    Parameters and errors are those of `minimize_peak`.
+    """
+    options = replace(options, sqp=replace(options.sqp, feasible_only=True))
+    exchange = _Exchange(program, options, progress)
+    bound = _NEAR_PEAK * exchange.peak
+    exchange.run(options.smoothing, bound=bound)
+    return exchange.result(bound)
+
+
 def minimize_smoothed_peak(program: Program, options: ExchangeOptions) -> Result:
     """Minimise ``max_t f(t) + smoothing``: the first stage of a peak that is not known, alone.
 
@@ -264,6 +282,11 @@ class _Exchange:
     def violation(self) -> float:
         """Largest violation of the present trajectory at any time, whatever its peak."""
         return self._separated(np.inf).worst.value
+
+    @property
+    def peak(self) -> float:
+        """Largest value of the objective at any time of the present trajectory."""
+        return self._separated(np.inf).peak
 
     def end_attempt(self) -> None:
         """Go on where an attempt ended, if nearly all but its bound is met there; otherwise start again."""

@@ -80,6 +80,8 @@ class SqpOptions:
         no step can.
     infeasible_steps, infeasible_share, infeasible_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
+    feasible_only : bool
+        It ends as soon as the constraints are met.
     close_gap : bool
         Quadratic programs are solved until their duality gap is closed, too. It takes a little longer, and
         is needed where the optimum is wanted to more than four digits.
@@ -114,6 +116,7 @@ class SqpOptions:
     infeasible_steps: int = 30
     infeasible_share: float = 0.8
     infeasible_violation: float = 2e-2
+    feasible_only: bool = False
     close_gap: bool = False
 
 
@@ -122,6 +125,7 @@ class SqpStatus(enum.Enum):
 
     CONVERGED = "no step promises more than the tolerance, and the constraints are met"
     STALLED = "the constraints are met, and the last steps together gained no more than the tolerance"
+    FEASIBLE = "the constraints are met, and nothing else was asked for"
     INFEASIBLE = "constraints are violated, and no step, or none of many, does much about it"
     ITERATION_LIMIT = "it was stopped before it ended by itself"
 
@@ -240,9 +244,11 @@ class _SqpState(Generic[AnyIterate]):
     def status(self) -> SqpStatus:
         """How it has ended; the iteration limit while it has not."""
         met = self.iterate.values.violation <= self._options.feasibility_tolerance
-        if self._status is SqpStatus.ITERATION_LIMIT and met and self._is_stalling:
-            return SqpStatus.STALLED
-        return self._status
+        if self._status is not SqpStatus.ITERATION_LIMIT or not met:
+            return self._status
+        if self._options.feasible_only:
+            return SqpStatus.FEASIBLE
+        return SqpStatus.STALLED if self._is_stalling else self._status
 
     @property
     def _is_stalling(self) -> bool:

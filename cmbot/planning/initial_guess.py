@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +12,11 @@ from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.common.limit import Limit
 from cmbot.common.reading.file_types import NonNegative
 from cmbot.optimization import find_violations
+from cmbot.planning.path.displaced_motion import displaced
 from cmbot.planning.path.gradient_projection import find_path, follow_path
 from cmbot.planning.postures.projection import project_onto_task
 from cmbot.planning.postures.sampler import axis_leans
-from cmbot.planning.request import StrokeRequest
+from cmbot.planning.request import Motion, StrokeRequest
 from cmbot.planning.selfmotion.global_search import POSTURE_TOLERANCE, GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
@@ -40,6 +42,14 @@ _MUCH_LESS_TRAVEL_SHARE = 0.7
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
 # a share of the cone.
 _LEANS, _LEANING = 4, 0.7
+
+
+class Aim(enum.Enum):
+    """What is made of an initial guess."""
+
+    OPTIMUM = "the motion of the smallest peak that is found from there"
+    FEASIBLE = "the first motion that meets the constraints"
+    KEPT = "its own motion"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +80,7 @@ class InitialGuess:
     way: FloatArray | None = (
         None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
     )
-    keeps: bool = False  # the motion itself, moved onto the path, not what is optimised from it
+    aim: Aim = Aim.OPTIMUM
     optimised: bool = False  # its via-points are those of a motion that was optimised
 
     def asked(self, request: StrokeRequest) -> InitialGuess:
@@ -282,13 +292,13 @@ def _gain(one: GlobalSolution, better: GlobalSolution, times: FloatArray) -> flo
     return max(ratios) - 1
 
 
-def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGuess:
+def guess_near(request: StrokeRequest, earlier: Motion) -> InitialGuess:
     """Take via-points from the postures of an earlier motion along the stroke, projected onto its task now.
 
-    Where the path has the same via-times the splines are those of that motion, moved: it `keeps` it.
-    Without charts nothing is known of the least peak: the largest value at rest in these postures stands for
-    it, and what is optimised need not undercut that. The first one stays where the motion began in the
-    posture in which the work starts now, or has to. Fixed knots are those of the path now.
+    Where the path has the same via-times the splines are those of that motion, moved, and it is to be kept.
+    Without charts nothing is known of the least peak, and no optimum is sought. The first one stays where the
+    motion began in the posture in which the work starts now, or has to. Fixed knots are those of the path
+    now.
 
     Raises
     ------
@@ -298,8 +308,8 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
     options = request.cell.options
     if options.knots == "fixed":
         return fixed_guess(request)
-    rate = earlier.duration / request.times[-1]
-    q, v, a = (rate**order * earlier.evaluate(request.times * rate, order) for order in range(3))
+    rate = earlier.trajectory.duration / request.times[-1]
+    q = earlier.trajectory.evaluate(request.times * rate)
     begins_there = float(np.abs(q[0] - request.first).max()) <= POSTURE_TOLERANCE
     pinned = options.start == "pinned" or begins_there
     placed = _placed(request, q)
@@ -307,11 +317,13 @@ def guess_near(request: StrokeRequest, earlier: QuinticTrajectory) -> InitialGue
         placed[0] = request.first
     each = request.cell.objective.at_rest(request.cell.postures.at(placed))
     bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
-    keeps = len(earlier.t) == len(request.times) and np.allclose(earlier.t, request.times * rate, atol=1e-9)
-    near = QuinticTrajectory(t=request.times, q=q, v=v, a=a) if keeps else None
+    times = earlier.trajectory.t
+    is_same = len(times) == len(request.times) and np.allclose(times, request.times * rate, atol=1e-9)
+    near = displaced(request, earlier, placed) if is_same else None
     form = parametrization_through(request, placed, sliding=True, pinned=pinned, near=near)
     problem = TorqueProblem(request, form, bound.value)
-    return InitialGuess(problem=problem, pinned=pinned, lower_bound=bound, keeps=keeps)
+    aim = Aim.KEPT if is_same else Aim.FEASIBLE
+    return InitialGuess(problem=problem, pinned=pinned, lower_bound=bound, aim=aim)
 
 
 def problem_near(

@@ -39,7 +39,7 @@ from cmbot.planning.reach import (
     upright,
     without_posture,
 )
-from cmbot.planning.request import JobState, StrokeRequest, build_request, strokes_of, with_cuts
+from cmbot.planning.request import JobState, Motion, StrokeRequest, build_request, strokes_of, with_cuts
 from cmbot.planning.result.plan import Plan, require_plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.workcell.objectives import WrenchFunction
@@ -159,7 +159,8 @@ def replan(
     """Plan a scene from the postures of an earlier plan, where frames moved or loads changed a little.
 
     The earlier motion is put onto the tool path as it is now, and certified as any plan; where it is not
-    certified it is optimised once. The self-motion is not charted, so nothing is known of the least peak:
+    certified it is changed until it meets the constraints, with a peak of at most 5 % more. So are the free
+    moves of that plan. The self-motion is not charted, so nothing is known of the least peak:
     `Plan.lower_bound`, `Plan.torque_floor` and `Plan.choice` are None, and it may be larger than by `plan`.
     The order, the times and the laws that the earlier plan found are kept; else the scene's options count.
 
@@ -323,14 +324,15 @@ class _Planner:
     def job(self, scene: Scene, deadline: Deadline, earlier: Plan | None = None) -> Plan | PlannedStroke:
         """Return the plan of a job, or the stroke that could not be planned; by an earlier plan if given."""
         request = self._require_reach(scene, deadline)
-        before = {} if earlier is None else {part.name: part.trajectory for part in earlier.job.strokes}
+        parts = () if earlier is None else earlier.job.segments
+        before = {part.name: Motion(task=part.task, trajectory=part.trajectory) for part in parts}
+        request = replace(request, earlier=before)
         made, state, asked = list[PlannedStroke](), [request.state], scene
         cuts, uncut = Reconfigurations(scene), dict[str | None, PlannedStroke]()
         while len(made) < len(request.strokes):
             stroke = _at_stroke(request, len(made), state[-1])
-            near = before.get(stroke.stroke.name)
-            planned = plan_stroke(stroke, earlier=near)
-            if near is None and not isinstance(planned.trial.outcome, Solved):
+            planned = plan_stroke(stroke)
+            if earlier is None and not isinstance(planned.trial.outcome, Solved):
                 planned = self._in_given_time(scene, stroke, planned, state[-1])
             outcome, file = planned.trial.outcome, stroke.stroke.file
             if isinstance(outcome, Solved):
@@ -341,7 +343,7 @@ class _Planner:
                 continue
             # What is told is why the whole path failed.
             refused = uncut.setdefault(file.part_of or file.name, planned)
-            is_slow = near is not None or planned.shortest is not None
+            is_slow = earlier is not None or planned.shortest is not None
             if is_slow or not cuts.cut(planned.trial.chain[0].attempt, outcome):
                 return refused
             scene = with_cuts(asked, request.cell.robot, cuts.ends)

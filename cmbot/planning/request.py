@@ -21,6 +21,7 @@ from cmbot.planning.workcell.workcell import Workcell, build_workcell
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, NamedState, PlannerOptions, Scene, Stroke
 from cmbot.toolpath import ToolPoses
+from cmbot.trajectory import QuinticTrajectory
 
 # Beside what the arm asks anyway this share of it is nothing.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
@@ -43,6 +44,14 @@ class JobState(ShortRepr):
     posture: FloatArray
     begin: float = 0.0
     reached: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A trajectory, and the task for which it was planned."""
+
+    task: ToolTask
+    trajectory: QuinticTrajectory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,6 +88,8 @@ class StrokeRequest(ShortRepr):
         The lower bound is proven where that is possible, and found of laws that were chosen.
     most_runs : int
         Of optimise-and-certify at most.
+    earlier : mapping of str to Motion
+        Of the segments of an earlier plan, near which this one is planned, by their names.
     deadline : Deadline
     reporter : ProgressReporter
     """
@@ -98,6 +109,7 @@ class StrokeRequest(ShortRepr):
     least_travel: bool = False
     proves: bool = True
     most_runs: int = SHORTEST_TIME_RUNS
+    earlier: Mapping[str, Motion] = field(default_factory=dict)
     deadline: Deadline = field(default_factory=Deadline)
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 

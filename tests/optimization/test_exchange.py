@@ -15,7 +15,7 @@ from cmbot.common.limit import Limit
 from cmbot.common.reading.validation import checked_options
 from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
-from cmbot.optimization.exchange import ExchangeOptions, minimize_peak
+from cmbot.optimization.exchange import ExchangeOptions, meet_constraints, minimize_peak
 from cmbot.optimization.separation import find_violations
 from cmbot.optimization.sqp import SqpOptions
 from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
@@ -116,6 +116,22 @@ def test_mean_square_is_that_of_the_papers_own_formulation(solver: str) -> None:
     )
     assert got == pytest.approx(best, rel=1e-6)
     assert got - best < 0.25 * (before - best)
+
+
+@both_solvers
+def test_constraints_are_met_near_the_start_and_no_optimum_is_sought(solver: str) -> None:
+    options = {"solver": solver, "max_tool_deviation_m": 4e-4}
+    problem = problem_of(short_scene(tool_path={"via_points": 6}, planner=options))
+    exchanged = exchange_options(problem)
+    start = find_violations(problem, problem.parametrization.trajectory, np.inf, 1e-5, 400)
+    assert start.worst.value > 0.1
+    found, optimum = meet_constraints(problem, exchanged), minimize_peak(problem, exchanged)
+    end = find_violations(problem, found.parametrization.trajectory, found.peak_bound, 1e-5, 400)
+    assert end.worst.value <= exchanged.feasibility_tolerance
+    assert end.peak <= 1.05 * start.peak * (1 + 1e-4)
+    if solver == "sqp":
+        steps = [sum(report.iterations for report in each.passes) for each in (found, optimum)]
+        assert 0 < steps[0] < steps[1]
 
 
 @both_solvers

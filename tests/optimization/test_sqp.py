@@ -104,6 +104,23 @@ def test_the_end_is_stationary(x: list[float], steepness: float) -> None:
     np.testing.assert_allclose(z * slack, 0, rtol=0, atol=1e-4)
 
 
+@settings(max_examples=20)
+@given(x=starts, steepness=st.floats(0, 4))
+@example(x=[3.0, 3.0], steepness=0.0)
+def test_where_feasible_is_enough_it_ends_at_the_first_such_iterate(x: list[float], steepness: float) -> None:
+    start = Ripples(np.array(x), steepness)
+    whole, options = solve_sqp(start), SqpOptions(feasibility_tolerance=1e-7, feasible_only=True)
+    ended = sqp.solve_sqp(start, 2, options)
+    if start.model.violation <= 1e-7:
+        assert (ended.status, ended.iterations) == (SqpStatus.FEASIBLE, 0)
+    elif ended.status is SqpStatus.FEASIBLE:
+        assert ended.iterate.model.violation <= 1e-7 and ended.iterations > 0
+        short = sqp.solve_sqp(start, 2, replace(options, max_iterations=ended.iterations - 1))
+        assert short.iterate.model.violation > 1e-7
+    else:
+        assert whole.status not in ENDED
+
+
 def test_a_step_is_no_longer_than_the_radius_and_shorter_with_damping() -> None:
     start = Ripples(np.array([2.0, -1.0]), 1.0)
     model = replace(start.model, hessian=start.hessian(np.ones(4)))

@@ -51,6 +51,9 @@ def test_a_moved_frame_is_followed_and_certified(earlier: Plan, tmp_path: Path) 
     # The motion is the earlier one, moved: nothing is optimised, and the tool is as quiet.
     assert plan.passes == () and plan.runs == 1
     assert plan.sway.swing_mm < 1.2 * earlier.sway.swing_mm
+    # So is the approach: at the same knots, as they are displaced.
+    begun, before = plan.job.segments[0].trajectory, earlier.job.segments[0].trajectory
+    assert begun.q.shape == before.q.shape and np.abs(begun.q - before.q).max() < 0.1
     # Nothing is said of a least peak that nothing was sought of.
     assert (plan.lower_bound, plan.choice, plan.torque_floor, plan.torque_floor_kind) == (None,) * 4
     folder = cmbot.save(plan, tmp_path / "plan")
@@ -79,7 +82,7 @@ def test_the_same_scene_is_planned_as_well_again(earlier: Plan) -> None:
     assert peak >= earlier.lower_bound.value * (1 - 1e-3)
 
 
-def test_what_is_not_certified_as_it_is_moved_is_optimised_from_there(earlier: Plan) -> None:
+def test_what_is_not_certified_as_it_is_moved_is_changed_until_it_is(earlier: Plan) -> None:
     scene = triangle(0.02, 1.0).with_options(max_tool_deviation_m=1.5e-4)
     plan = cmbot.replan(earlier, scene, progress=False)
     assert "Planned near an earlier plan" in plan.fallbacks[0]

@@ -20,7 +20,7 @@ from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
 from cmbot.planning.free_motion.approach import approach_way, plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
-from cmbot.planning.initial_guess import InitialGuess, leap_failure
+from cmbot.planning.initial_guess import Aim, InitialGuess, leap_failure
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.result.stroke_plan import Start
@@ -154,9 +154,11 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
         request.reporter.passed(report, request.objective.unit)
 
     compensation, problem = None, guess.problem
+    kept = Optimised.start(problem) if guess.aim is Aim.KEPT else None
     try:
         if cell.sag is None:
-            optimised = Optimised.start(problem) if guess.keeps else optimise(problem, each_pass)
+            feasible = guess.aim is Aim.FEASIBLE
+            optimised = kept or optimise(problem, each_pass, feasible=feasible)
         else:
             optimised, compensation, problem = optimise_bent(request, guess, cell.sag, each_pass)
     except OptimisationFailed as failure:
@@ -165,12 +167,7 @@ def _optimised(request: StrokeRequest, guess: InitialGuess) -> tuple[Optimised, 
             raise
         raise leaps from failure
     # What is kept was brought to rest before.
-    if (
-        not guess.keeps
-        and cell.arm is not None
-        and cell.options.knots == "sliding"
-        and cell.options.quiet_modes
-    ):
+    if kept is None and cell.arm is not None and cell.options.knots == "sliding" and cell.options.quiet_modes:
         optimised = suppress_vibration(cell.arm, problem, optimised)
     return optimised, compensation
 
@@ -209,7 +206,8 @@ def _moved(request: StrokeRequest, posture: FloatArray) -> float:
 def _with_way(request: StrokeRequest, guess: InitialGuess) -> InitialGuess:
     """The guess with a way to where it starts: where none leads there nothing need be optimised."""
     start = guess.problem.parametrization.via_points[0]
-    if guess.way is not None or _moved(request, start) <= SAME_POSTURE:
+    is_known = guess.way is not None or guess.aim is not Aim.OPTIMUM
+    if is_known or _moved(request, start) <= SAME_POSTURE:
         return guess
     way = approach_way(request, start, _chart(request, guess), dispensable=_is_dispensable(request, guess))
     return replace(guess, way=way)

@@ -21,13 +21,12 @@ from cmbot.planning.budget import (
     SHORTEST_TIME_RUNS,
     Budget,
 )
-from cmbot.planning.initial_guess import InitialGuess, guess_near, sliding_guess
+from cmbot.planning.initial_guess import Aim, InitialGuess, guess_near, sliding_guess
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.timing.timing import with_enough_via_points
 from cmbot.scene import Stroke
-from cmbot.trajectory import QuinticTrajectory
 
 # A motion sways more than another where it does so by this factor: less is worth no second search.
 _MORE = 1.1
@@ -52,16 +51,14 @@ class PlannedStroke:
     shortest: float | None = None
 
 
-def plan_stroke(
-    request: StrokeRequest, *, earlier: QuinticTrajectory | None = None, stays: bool = False
-) -> PlannedStroke:
+def plan_stroke(request: StrokeRequest, *, stays: bool = False) -> PlannedStroke:
     """Plan a stroke and the free moves that go with it.
 
     Parameters
     ----------
     request : StrokeRequest
-    earlier : QuinticTrajectory, optional
-        A motion along the stroke where its frame was before: moved onto the path, else optimised from there.
+        With an earlier motion along the stroke it is planned near that: moved onto the path as it is now,
+        else changed from there until it meets the constraints.
     stays : bool
         It starts where the arm is before, with sliding knots.
     """
@@ -71,12 +68,12 @@ def plan_stroke(
             attempt = Attempt(request=request, guess=begun)
             return PlannedStroke(trial=Trial(attempt=attempt, outcome=begun), runs=0)
         request = begun
-    if earlier is not None:
+    if (earlier := request.earlier.get(str(request.stroke.name))) is not None:
         near = attempted(request, lambda: guess_near(request, earlier))
         guesses = [near]
-        if isinstance(near, InitialGuess) and near.keeps:
-            # Where what is kept is not certified it is optimised from there.
-            guesses.append(replace(near, keeps=False))
+        if isinstance(near, InitialGuess) and near.aim is Aim.KEPT:
+            # Where what is kept is not certified it is changed until it meets the constraints.
+            guesses.append(replace(near, aim=Aim.FEASIBLE))
         budget = Budget(runs=len(guesses))
         for guess in guesses:
             attempt = Attempt(request=request, guess=guess, is_first=False)

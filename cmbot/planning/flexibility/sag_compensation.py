@@ -20,7 +20,7 @@ from cmbot.common.reading.file_types import NonNegative
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.optimization import ExchangeReport, find_violations
 from cmbot.planning.certification.sag_spread import largest_spread
-from cmbot.planning.initial_guess import InitialGuess, problem_near
+from cmbot.planning.initial_guess import Aim, InitialGuess, problem_near
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.planning.workcell.bent_tool import BentTool
@@ -82,7 +82,7 @@ def optimise_bent(
     """
     try:
         bending = _Bending(request, guess, sag, progress)
-        return bending.kept() if guess.keeps else bending.solved()
+        return bending.kept() if guess.aim is Aim.KEPT else bending.solved()
     except TooSoftError as error:
         raise OptimisationFailed(
             f"the arm on its base is too soft: {error.got} is on the way",
@@ -115,7 +115,7 @@ class _Bending:
         self._least = guess.lower_bound.value
         for _ in range(_STEPS_FROM_GUESS):
             self._bent = self._linearized(near)
-            self._problem = self._placed(near.q, near=near if guess.keeps else None)
+            self._problem = self._placed(near.q, near=None if guess.aim is Aim.OPTIMUM else near)
             near = self._problem.parametrization.trajectory
             # What bending changes at rest in the postures of the guess it changes of the least value, too.
             shifted = guess.lower_bound.each + self._problem.at_via_points - guess.problem.at_via_points
@@ -130,9 +130,10 @@ class _Bending:
     def solved(self) -> tuple[Optimised, Compensation, TorqueProblem]:
         """Solve and linearize until the sag of the solution is what it was taken for."""
         optimised: Optimised | None = None
+        feasible = self._guess.aim is Aim.FEASIBLE
         for number in range(_LINEARIZATIONS):
             corrected = None if optimised is None else self._corrected(optimised)
-            optimised = corrected or optimise(self._problem, self._passed)
+            optimised = corrected or optimise(self._problem, self._passed, feasible=feasible)
             near = optimised.trajectory
             after, change = self._changed(near)
             if change < self._settled:

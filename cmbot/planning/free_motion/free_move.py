@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -111,7 +111,7 @@ def plan_move(request: StrokeRequest, move: FreeMove) -> Segment:
     ends = np.stack([move.start, move.end])
     allowed = (1 + _SAME_OBJECTIVE_SHARE) * max(move.allowed, *space.cost(ends))
     given = move.first(space)
-    path = _least(request, space, _ways(request, space, move, given), allowed)
+    path = _least(request, space, move, given, allowed)
     held = request.task.held_at_start()
     for halving in range(_MAX_SPACING_HALVINGS):
         trajectory = _timed(request, path, _KNOT_SPACING / 2**halving, allowed, move)
@@ -240,15 +240,37 @@ def _unconnected(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> Pa
 
 
 def _least(
-    request: StrokeRequest, space: FreeSpace, found: Sequence[FloatArray], allowed: float
+    request: StrokeRequest, space: FreeSpace, move: FreeMove, given: FloatArray | None, allowed: float
 ) -> FloatArray:
-    """The first path (k, n) whose peak is allowed, else one whose peak is as low as was found."""
+    """The first path (k, n) whose peak is allowed, else one whose peak is as low as was found.
+
+    Near an earlier plan that is its move, joined to the ends as they are now.
+    """
+    near = _near(request, space, move)
+    found = [near] if near is not None and given is None else _ways(request, space, move, given)
     for path in found:
         if space.peak(path) <= allowed:
             return path
+    if near is not None:
+        return near
     stop = partial(request.deadline.expired, MORE_TIME)
     path = lower_peak(space, min(found, key=space.peak), allowed, stop)
     return space.below(max(allowed, space.peak(path))).shorten(path)
+
+
+def _near(request: StrokeRequest, space: FreeSpace, move: FreeMove) -> FloatArray | None:
+    """The way (k, n) of an earlier plan's move, displaced to the ends as they are now; None if not free."""
+    if (earlier := request.earlier.get(move.name)) is None:
+        return None
+    # It stands before and after it.
+    q = earlier.trajectory.q
+    q = q[np.append(True, np.diff(q, axis=0).any(axis=1))]
+    if len(q) == 1:
+        return None
+    along = request.cell.robot.metric.lengths(np.diff(q, axis=0)).cumsum()
+    ends = np.stack([move.start - q[0], move.end - q[-1]])
+    way = q + interpolated(np.append(0.0, along), along[[0, -1]] * [0.0, 1.0], ends)
+    return way if space.holds(way).all() else None
 
 
 def _ways(

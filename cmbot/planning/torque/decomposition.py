@@ -25,6 +25,7 @@ from cmbot.optimization import (
     KinematicBound,
     SqpOptions,
     StateSamples,
+    meet_constraints,
     minimize_peak,
 )
 from cmbot.planning.torque.constraints import ClearanceMargin
@@ -89,7 +90,12 @@ class Optimised:
         return cls(trajectory=form.trajectory, via_points=form.via_points, passes=())
 
 
-def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
+def optimise(
+    problem: TorqueProblem,
+    progress: Callable[[ExchangeReport], None] | None = None,
+    *,
+    feasible: bool = False,
+) -> Optimised:
     """Solve the torque problem.
 
     Parameters
@@ -97,6 +103,8 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
     problem : TorqueProblem
     progress : callable, optional
         Called with an `ExchangeReport` after every exchange iteration.
+    feasible : bool
+        The first motion that meets the constraints is enough.
 
     Raises
     ------
@@ -107,7 +115,7 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
     because = ""
     if len(parts) > 1:
         try:
-            return _in_segments(problem, parts, progress)
+            return _in_segments(problem, parts, progress, feasible=feasible)
         except OptimisationFailed as failure:
             # To rest at every end of a segment may be too much to ask; the whole path does not ask it. Laws
             # that were sought along a joint path rest there anyway.
@@ -116,7 +124,8 @@ def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] 
             because = failure.reason
     if problem.parametrization.retraction is None:
         check_feasible(problem)
-    result = minimize_peak(problem, exchange_options(problem), progress)
+    solve = meet_constraints if feasible else minimize_peak
+    result = solve(problem, exchange_options(problem), progress)
     form = result.parametrization
     return Optimised(
         trajectory=form.trajectory,
@@ -200,6 +209,8 @@ def _in_segments(
     problem: TorqueProblem,
     parts: list[tuple[int, int]],
     progress: Callable[[ExchangeReport], None] | None,
+    *,
+    feasible: bool,
 ) -> Optimised:
     """Solve a long path's problem in parts; exchange iterations are counted through."""
     passes: list[ExchangeReport] = []
@@ -209,7 +220,7 @@ def _in_segments(
         if progress is not None:
             progress(passes[-1])
 
-    done = [optimise(problem.segment(first, last), report) for first, last in parts]
+    done = [optimise(problem.segment(*part), report, feasible=feasible) for part in parts]
     trajectory = QuinticTrajectory.joined([each.trajectory for each in done])
     return Optimised(
         trajectory=trajectory,

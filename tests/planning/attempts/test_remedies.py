@@ -409,13 +409,13 @@ def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(
 def test_a_plan_has_the_via_points_that_it_was_made_with(monkeypatch: pytest.MonkeyPatch) -> None:
     real, asked = motion.optimise, list[int]()
 
-    def optimise_once_more(problem: Any, *rest: Any) -> Any:
+    def optimise_once_more(problem: Any, *rest: Any, **more: Any) -> Any:
         asked.append(len(problem.space.t))
         if len(asked) == 1:
             raise OptimisationFailed(
                 "no", constraint="tool deviation", violation=1.0, limit=Limit.TOOL_DEVIATION
             )
-        return real(problem, *rest)
+        return real(problem, *rest, **more)
 
     monkeypatch.setattr(motion, "optimise", optimise_once_more)
     made = plan(short_scene())
@@ -435,18 +435,18 @@ def test_a_trajectory_that_nearly_meets_the_constraints_is_left_to_the_certifica
     failed = replace(
         Optimised(trajectory=trajectory, via_points=trajectory.q, passes=()), complete=False, failure=failure
     )
-    monkeypatch.setattr(motion, "optimise", lambda *_: failed)
+    monkeypatch.setattr(motion, "optimise", lambda *_, **__: failed)
     found = plan(short_plan.scene)
     assert found.certificate.holds
     assert any("the best motion so far" in sentence for sentence in found.fallbacks)
     # A motion that is complete may be one of fewer that were tried.
     monkeypatch.setattr(Deadline, "mark", "time")
-    monkeypatch.setattr(motion, "optimise", lambda *_: replace(failed, complete=True))
+    monkeypatch.setattr(motion, "optimise", lambda *_, **__: replace(failed, complete=True))
     *_, said = plan(short_plan.scene).fallbacks
     assert said.startswith("The time, ") and "was over before all was tried: " in said
     monkeypatch.undo()
     beyond = replace(failed, trajectory=replace(trajectory, a=1.5 * trajectory.a))
-    monkeypatch.setattr(motion, "optimise", lambda *_: beyond)
+    monkeypatch.setattr(motion, "optimise", lambda *_, **__: beyond)
     with pytest.raises(OptimisationFailed, match="jerk of joint_3"):
         plan(short_plan.scene)
 

@@ -136,8 +136,8 @@ def test_where_the_time_is_over_the_plan_is_left_as_it_is(
 ) -> None:
     real = motion.optimise
 
-    def takes_long(problem: Any, *rest: Any) -> Any:
-        done = real(problem, *rest)
+    def takes_long(problem: Any, *rest: Any, **more: Any) -> Any:
+        done = real(problem, *rest, **more)
         monkeypatch.setattr(Deadline, "expired", lambda *_: True)
         return done
 
