@@ -17,7 +17,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 # Shares of the times between via-points at which it is put onto the path.
 _AT_SHARES = np.array([0.25, 0.5, 0.75])
 # What is kept of what the tool missed the path by: splines follow the displacement nearly, not quite.
-_MISSED = 0.95
+_MISS_KEPT = 0.95
 # Distance, m, of the points on the tool's axes that say how these have turned; and of those that do not turn,
 # so that a straight path whose tool has no axis turns as little as it can.
 _ON_AXIS_M, _UNTURNED_M = 0.1, 1e-3
@@ -45,7 +45,7 @@ def displaced(request: StrokeRequest, earlier: Motion, placed: FloatArray) -> Qu
     q, n, postures = before.evaluate(t * rate), len(space.t), request.cell.postures
     tool, then, now = postures.tool_at(q), earlier.task.goals(t * rate), request.task.goals(t)
     turn = _turn(then, now, request.task.keep)
-    point = now.point + _MISSED * turn.apply(tool.tool_point - then.point)
+    point = now.point + _MISS_KEPT * turn.apply(tool.tool_point - then.point)
     goals = ToolPoses(point=point, rotation=turn.as_matrix() @ tool.tool_rotation)
     differ = project_onto_task(postures, request.task, q, goals)[0] - q
     rows = space.design(between.ravel(), 0)
