@@ -44,7 +44,7 @@ from cmbot.planning.result.plan import Plan, require_plan
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.workcell.objectives import WrenchFunction
 from cmbot.planning.workcell.workcell import robot_of
-from cmbot.scene import PlannerOptions, Scene, StrokeFile
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts
 from cmbot.toolpath import Goal
 
 # Peaks of two orders of strokes that differ by less are the same.
@@ -219,11 +219,13 @@ def _timed_as(plan: Plan, scene: Scene) -> Scene:
     # An arm by the same files needs no loading to be compared.
     arms = [plan.robot if scene.robot == plan.scene.robot else robot_of(scene), plan.robot]
     joints, before = ((arm.joints, tuple(arm.limits.velocity)) for arm in arms)
+    cuts = {str(file.name): allowed_cuts(file, plan.scene.strokes) for file in scene.strokes}
+    scene = with_cuts(scene, plan.robot, cuts)
     files, earlier = ({stroke.name: stroke for stroke in each.strokes} for each in (scene, plan.scene))
     for key, got, expected in (("robot", joints, before), ("tool_path", set(files), set(earlier))):
         if got != expected:
-            what = "arm" if key == "robot" else "strokes"
-            raise InputError("cmbot.replan", f"scene.{key}", f"another {what}", f"that of the plan: {what}")
+            what = ("another arm", "the arm") if key == "robot" else ("other strokes", "the strokes")
+            raise InputError("cmbot.replan", f"scene.{key}", what[0], f"{what[1]} of the plan")
     best = scene.order == "best"
     timed = [
         files[name].changed(

@@ -45,7 +45,11 @@ from cmbot.scene.path.stroke import (
     coverage_of as coverage_of,
     pieces_left_out as pieces_left_out,
 )
-from cmbot.scene.path.stroke_parts import rows_alone as rows_alone, waypoint_shares as waypoint_shares
+from cmbot.scene.path.stroke_parts import (
+    allowed_cuts as allowed_cuts,
+    rows_alone as rows_alone,
+    waypoint_shares as waypoint_shares,
+)
 from cmbot.scene.robot_entry import (
     STOW as STOW,
     AttachedToolFile as AttachedToolFile,

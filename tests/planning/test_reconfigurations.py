@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_scenes import panda_scene, request_of
 
+import cmbot
 from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import plan, with_cuts
@@ -54,6 +55,10 @@ def test_a_path_is_cut_where_no_posture_leads_on(tmp_path: Path) -> None:
     save(made, tmp_path)
     told = verified_motions(tmp_path, Asked(scenes=(asked,))).not_verified
     assert any("that it has to be done in 2 parts, cut and ordered like this" in claim for claim in told)
+    # A scene that is planned near it is cut there, too.
+    heavier = asked.with_payload(asked.robot.payload_kg + 0.2)
+    again = cmbot.replan(made, heavier, progress=False)
+    assert again.scene.strokes == made.scene.strokes and again.fallbacks[0].startswith("Planned near")
     with pytest.raises(ArchiveError, match="strokes"):
         load_plan(tmp_path, verify=True, scene=turning_scene(500.0, reconfigurations=0))
     with pytest.raises(ArchiveError, match="waypoints"):

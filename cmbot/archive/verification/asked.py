@@ -17,7 +17,7 @@ from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
 from cmbot.planning import Plan, aside_of_path, build_request, reached_scene, robot_of, with_cuts
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, StrokeFile, coverage_of
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts, coverage_of
 from cmbot.toolpath import AUTO, RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
@@ -262,17 +262,9 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     return decided
 
 
-def _ends(file: StrokeFile, strokes: Sequence[StrokeFile]) -> tuple[float, ...]:
-    """Where a plan's strokes cut a path, as far as it may be."""
-    ends = tuple(stroke.begins_at for stroke in strokes if stroke.part_of == file.name and stroke.begins_at)
-    most = len(ends) if file.reconfigurations is None else file.reconfigurations
-    may_be = len(ends) <= most and all(file.can_be_cut(end) for end in ends)
-    return ends if may_be and list(ends) == sorted(set(ends)) else ()
-
-
 def _in_parts(asked: Scene, strokes: Sequence[StrokeFile], robot: Robot) -> Sequence[StrokeFile]:
     """The strokes of a scene, its rasters and paths in the parts that the strokes of a plan cover."""
-    asked = with_cuts(asked, robot, {str(file.name): _ends(file, strokes) for file in asked.strokes})
+    asked = with_cuts(asked, robot, {str(file.name): allowed_cuts(file, strokes) for file in asked.strokes})
     files = {str(stroke.name): (k, stroke.raster) for k, stroke in enumerate(asked.strokes)}
     if not any(raster for _, raster in files.values()):
         return asked.strokes

@@ -90,6 +90,14 @@ def path_parts(
     return parts
 
 
+def allowed_cuts(file: StrokeFile, strokes: Sequence[StrokeFile]) -> tuple[float, ...]:
+    """Return where strokes that are parts of a path cut it, see `path_parts`; empty where it may not be."""
+    ends = tuple(stroke.begins_at for stroke in strokes if stroke.part_of == file.name and stroke.begins_at)
+    most = len(ends) if file.reconfigurations is None else file.reconfigurations
+    may_be = len(ends) <= most and all(file.can_be_cut(end) for end in ends)
+    return ends if may_be and list(ends) == sorted(set(ends)) else ()
+
+
 def _part(file: StrokeFile, path: ToolPath, begin: float, end: float) -> tuple[float, dict[str, Any]]:
     """The share of a path that is between two places, and what of its file is another there."""
     if file.waypoints is not None:
