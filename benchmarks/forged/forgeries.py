@@ -479,6 +479,12 @@ def _claims() -> Iterator[tuple[str, str, Make]]:
     yield "a shorter job", "strokes", told(planned__job__duration=lambda x: x - 3)
     bound = told(torque_floor=lambda x: 2 * x, floor__value=lambda x: 2 * x)
     yield "a bound above the peak", "sliding", bound
+    # By less than what two enclosures of it may differ by.
+    certificate = "certificate__", "segments__0__certificate__"
+    more = {key + "clearance_bound": lambda x: x + 1.5e-4 for key in certificate}
+    less = {key + "guardrail_torque_bound": lambda x: 0.995 * x for key in certificate}
+    yield "a clearance for all times above the smallest", "short", told(**more)
+    yield "a torque for all times below the peak", "short", told(**less)
 
 
 def walk(*changes: Callable[[dict[str, Any]], object]) -> Make:

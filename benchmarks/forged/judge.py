@@ -188,6 +188,13 @@ def _claims(told: dict[str, Any], worst: dict[str, float]) -> Iterator[str]:
     for key, sign in (("peak_guardrail_torque", 1), ("min_clearance", -1), ("max_tool_deviation", 1)):
         if sign * (worst[key] - figures[key]) > 1e-4 * abs(figures[key]) + 1e-4 and worst[key] > 0:
             yield f"planned.{key}: {figures[key]:.6g}, found {worst[key]:.6g}"
+    bounds = told["certificate"]
+    for key, sign, name in (
+        ("guardrail_torque_bound", 1, "peak_guardrail_torque"),
+        ("clearance_bound", -1, "min_clearance"),
+    ):
+        if sign * (worst[name] - bounds[key]) > 1e-4 * abs(bounds[key]):
+            yield f"certificate.{key}: {bounds[key]:.9g}, found {worst[name]:.9g}"
     floor, peak = told.get("torque_floor"), told["objective"]["planned_peak"]
     if floor is not None and floor - (told["torque_floor_error"] or 0.0) > peak * (1 + SHARE):
         yield f"the lower bound {floor} is above the peak {peak}"

@@ -403,6 +403,8 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     require_same(data, expected, source, "", _SAME, _SAME_ZERO)
     require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
     require_same(_bounds(data), bounds, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
+    for k, (segment, stored) in enumerate(zip(segments, _bounds(data), strict=True)):
+        _require_bounds(segment, stored, source, f"segments[{k}].certificate")
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))
         for segment, (certificate, checks) in zip(segments, certified, strict=True)
@@ -410,6 +412,21 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
     for segment in seconds:
         segment.certificate.require()
     return replace(plan, job=Job(segments=tuple(seconds)))
+
+
+def _require_bounds(segment: Segment, stored: Mapping[str, Any], source: str, key: str) -> None:
+    """Refuse bounds for all times that the segment's own figures break: those may be enclosed otherwise."""
+    figures = segment.certificate.figures
+    adhesion = 0.0 if figures.adhesion_needed is None else figures.adhesion_needed.peak
+    for name, figure, sign in (
+        ("clearance_bound", figures.min_clearance, 1.0),
+        ("guardrail_torque_bound", figures.peak_guardrail_torque, -1.0),
+        ("adhesion_bound", adhesion, -1.0),
+    ):
+        beyond = 0.0 if stored[name] is None else sign * (stored[name] - figure)
+        if beyond > _SAME_ZERO + _SAME * abs(figure):
+            expected = f"at {'most' if sign > 0 else 'least'} {figure:.9g}, the motion's own"
+            raise ArchiveError(source, f"{key}.{name}", f"{stored[name]:.9g}", expected)
 
 
 def _bounds(data: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -34,6 +34,7 @@ from cmbot.planning.job import (
 )
 from cmbot.planning.path.first_posture import starting_at_path as starting_at_path
 from cmbot.planning.path.gradient_projection import (
+    aside_at_start as aside_at_start,
     aside_of_path as aside_of_path,
     follow_path as follow_path,
 )

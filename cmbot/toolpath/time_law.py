@@ -24,6 +24,9 @@ _BREAK_TOLERANCE = 1e-12
 # The order of the derivative of the share covered that is continuous.
 _CONTINUITY = {"trapezoidal": 1, "jerk_limited": 2, "quiet": 3}
 
+# A law leads back where its rate is below zero by this share of its mean, as sampled so often a phase.
+_BACK, _RATES_PER_PHASE = 1e-6, 33
+
 Kind = Literal["trapezoidal", "jerk_limited", "quiet"]
 """How the speed rises and falls."""
 
@@ -253,13 +256,20 @@ class LegLaw(CheckedFields):
     def _check(self) -> None:
         if len(self.jerk) != len(self.seconds) + 1:
             raise InputError("LegLaw", "jerk", f"{len(self.jerk)} numbers", f"{len(self.seconds) + 1}")
-        if not self._covered > 0:
+        if not self._covered > 0 or self._least_rate < -_BACK:
             raise InputError("LegLaw", "jerk", "a law that leads back", "one that leads forward")
 
     @property
     def duration(self) -> float:
         """Of the leg, s."""
         return sum(self.seconds)
+
+    @property
+    def _least_rate(self) -> float:
+        """Smallest rate of the law, as a share of its mean."""
+        law = self.law
+        u = law.breaks[:-1, None] + np.diff(law.breaks)[:, None] * np.linspace(0.0, 1.0, _RATES_PER_PHASE)
+        return float(law.rate(u.ravel()).min())
 
     @property
     def law(self) -> TimeLaw:

@@ -35,7 +35,8 @@ from cmbot.archive.verification import exported as exported_files
 from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_done
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
+from cmbot.planning import Plan, QuinticTrajectory, aside_at_start, build_request, plan, robot_of
+from cmbot.planning.postures.projection import null_space
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.stances.walking import walk_csv, walk_data
@@ -291,6 +292,20 @@ def test_pinned_work_begins_where_the_arm_stands(triangle_plan: Plan, tmp_path: 
     told = replace(triangle_plan, scene=asked, options=replace(triangle_plan.options, start="pinned"))
     with pytest.raises(ArchiveError, match=r"as planner\.start: pinned asks"):
         load_plan(save(told, tmp_path), verify=True, scene=asked)
+
+
+def test_pinned_work_of_a_bent_arm_begins_as_far_as_it_sags(tmp_path: Path) -> None:
+    options = {"start": "pinned", "baseline": "none", "compensate": True, "knots": "sliding"}
+    scene = short_scene(robot={"joints": "elastic"}, planner=options)
+    made = plan(scene)
+    assert made.strokes[0].start.moved > 0.01
+    load_plan(save(made, tmp_path), verify=True, scene=scene)
+    work = made.job.strokes[0].trajectory
+    request = build_request(scene, scene.planner)
+    task = request.task
+    along = null_space(request.cell.postures, task, work.q[:1])[0, 0]
+    assert aside_at_start(request, work.q[0]) < 1e-3 + 0.1 * made.strokes[0].start.moved
+    assert aside_at_start(request, work.q[0] + 0.02 * along) > 0.5 * 0.02 * np.abs(along).max()
 
 
 def test_a_message_of_few_points_keeps_the_tool_on_its_path(short_plan: Plan, tmp_path: Path) -> None:
@@ -711,6 +726,26 @@ def test_what_is_computed_again(short_folder: Path, key: str) -> None:
 
     edit(short_folder, change)
     assert "as computed again" in refusal("verify", short_folder)
+
+
+@pytest.mark.parametrize("bound", ["clearance_bound", "guardrail_torque_bound"])
+def test_bounds_for_all_times_are_not_broken_by_the_motion(short_folder: Path, bound: str) -> None:
+    """By less than two enclosures of it may differ."""
+    figure, share = {
+        "clearance_bound": ("min_clearance", 1 + 1e-4),
+        "guardrail_torque_bound": ("peak_guardrail_torque", 1 - 1e-4),
+    }[bound]
+
+    def change(data: Any) -> None:
+        for entry, certificate in ((data["planned"], data["certificate"]), *map(parts, data["segments"])):
+            certificate[bound] = share * entry[figure]
+
+    def parts(segment: Any) -> tuple[Any, Any]:
+        return segment, segment["certificate"]
+
+    edit(short_folder, change)
+    assert f"certificate.{bound}: got " in (told := refusal("verify", short_folder))
+    assert "the motion's own" in told
 
 
 @pytest.mark.parametrize("key", ["torque_floor", "gap_to_floor", "torque_floor_error", "floor.value"])

@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings, strategies as st
 from scipy.integrate import solve_ivp
 from small_scenes import short_scene
 
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.scene import Scene
 from cmbot.toolpath import LegLaw, SpeedProfile, TimeLaw
 from cmbot.toolpath.shaper import LEFT, Shaper, extra_insensitive, two_hump
@@ -215,6 +215,14 @@ def test_a_quiet_law_that_waits_or_stops_in_between_is_refused(parts: list[tuple
     law = sequence(*((share * SECONDS, way) for share, way in parts))
     with pytest.raises(SceneError, match=r"time_laws: got a law of leg 0 that waits, or slows down"):
         QUIET.with_path(time_laws=(law,)).timed_strokes(np.eye(4))
+
+
+@pytest.mark.parametrize("back", [0.2, 1e-3])
+def test_a_law_that_leads_back_is_none(back: float) -> None:
+    """Though it leads to the end: the process would go over a stretch three times."""
+    parts = [(1.5, 0.6), (1.0, -back), (1.5, 0.4 + back)]
+    with pytest.raises(InputError, match="a law that leads back, expected one that leads forward"):
+        sequence(*parts)
 
 
 def test_a_quiet_law_that_creeps_at_its_ends_is_refused() -> None:

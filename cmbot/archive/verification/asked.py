@@ -15,7 +15,15 @@ from cmbot.archive.records import require_same
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
-from cmbot.planning import Plan, aside_of_path, build_request, reached_scene, robot_of, with_cuts
+from cmbot.planning import (
+    Plan,
+    aside_at_start,
+    aside_of_path,
+    build_request,
+    reached_scene,
+    robot_of,
+    with_cuts,
+)
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts, coverage_of
 from cmbot.toolpath import AUTO, RowPiece
@@ -37,6 +45,8 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
 _STANDS = 1e-6
 # How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
 _MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
+# Share of what compensation moves the start by within which it is known.
+_SECOND_ORDER = 0.1
 # Pieces of a row that have no more in common touch, m.
 _TOUCHING_M = 1e-6
 # By which share of a surface two searches of what is reached may differ.
@@ -188,11 +198,13 @@ def require_still(plan: Plan, options: PlannerOptions, source: str) -> None:
     ------
     ArchiveError
     """
-    # A bent arm begins near the posture of the rigid one.
-    moved, most = plan.strokes[0].start.moved, 0.0 if plan.sag is None else _MOST_ASIDE_BENT
-    if options.start == "pinned" and moved > most and not plan.scene.begins_elsewhere:
-        got = f"a start {moved:.3g} rad (or m) from the scene's posture"
-        raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
+    moved = plan.strokes[0].start.moved
+    if options.start == "pinned" and moved and not plan.scene.begins_elsewhere:
+        aside = aside_at_start(build_request(plan.scene, options), plan.job.strokes[0].trajectory.q[0])
+        # The way back to a rigid arm's posture is that of the bent one's to first order.
+        if aside > (0.0 if plan.sag is None else _MOST_ASIDE + _SECOND_ORDER * moved):
+            got = f"a start {aside:.3g} rad (or m) from the scene's posture"
+            raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
     ramp = plan.robot.tool_ramp
     for segment in plan.job.segments:
         moved = segment.moved_in_ramps(ramp) if segment.kind == "free" else 0.0

@@ -289,7 +289,7 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
     if plan.baseline is not None:
         yield "baseline (that its motion and its jerk are those that it is compared with)"
     if plan.torque_floor is not None:
-        yield f"torque_floor ({plan.torque_floor:.6g} Nm, {plan.torque_floor_kind}), gap_to_floor"
+        yield f"torque_floor ({plan.torque_floor:.6g} Nm, said to be {plan.torque_floor_kind}), gap_to_floor"
     for name, key in (("lower_bound", "floor"), ("choice", "choice"), ("compensation", _COMPENSATION)):
         if any(getattr(stroke, name) is not None for stroke in plan.strokes):
             yield key

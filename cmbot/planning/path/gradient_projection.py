@@ -163,6 +163,17 @@ def aside_of_path(request: StrokeRequest, via_points: FloatArray) -> float:
     return float(np.abs(along @ off.transpose(0, 2, 1)).max(initial=0.0))
 
 
+def aside_at_start(request: StrokeRequest, start: FloatArray) -> float:
+    """Return how far a posture `start` (n,), rad, in which the work starts lies from the scene's posture.
+
+    A bent arm's start is taken back by the sag first: to where a rigid one holds the tool.
+    """
+    cell, goal = request.cell, request.task.goals(np.zeros(1))
+    if cell.sag is not None:
+        start = project_onto_task(cell.postures, request.task, start[None], goal)[0][0]
+    return float(np.abs(cell.robot.metric.coordinates(start - request.state.posture)).max())
+
+
 def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
     """Singularity-robust inverse J* (n, m) of `J` (m, n), Chang 2021, Eqs. (18)-(21)."""
     U, s, Vt = _svd(J)
