@@ -225,9 +225,9 @@ def meet_constraints(
     options: ExchangeOptions,
     progress: Callable[[ExchangeReport], None] | None = None,
 ) -> Result:
-    """Find a motion near the start that meets the constraints: the first on the way to the smallest peak.
+    """Find a motion near the start that meets the constraints: the first on the way to the least mean square.
 
-    Parameters and errors are those of `minimize_peak`.
+    Its peak is at most 5 % above the start's. Parameters and errors are those of `minimize_peak`.
     """
     options = replace(options, sqp=replace(options.sqp, feasible_only=True))
     exchange = _Exchange(program, options, progress)
