@@ -196,9 +196,10 @@ def minimize_peak(
     exchange = _Exchange(program, options, progress)
     bound = program.lower_bound * (1 + options.peak_tolerance)
     try:
-        if program.lower_bound > 0 and exchange.violation <= options.far_off:
+        found = exchange.separated(bound) if program.lower_bound > 0 else None
+        if found is not None and found.worst.value <= options.far_off:
             try:
-                exchange.run(options.smoothing, bound=bound, attempt=True)
+                exchange.run(options.smoothing, bound=bound, attempt=True, found=found)
                 return exchange.result(bound)
             except OptimisationFailed:
                 if options.stop():
@@ -231,8 +232,9 @@ def meet_constraints(
     """
     options = replace(options, sqp=replace(options.sqp, feasible_only=True))
     exchange = _Exchange(program, options, progress)
-    bound = _NEAR_PEAK * exchange.peak
-    exchange.run(options.smoothing, bound=bound)
+    found = exchange.separated(np.inf)
+    bound = _NEAR_PEAK * found.peak
+    exchange.run(options.smoothing, bound=bound, found=found)
     return exchange.result(bound)
 
 
@@ -277,16 +279,6 @@ class _Exchange:
         self._constraints = ConstraintSet(step=step).at_all(single, middles).at_all([OBJECTIVE], t).rebased()
         self.form = self._program.parametrization
         self._warm: SqpResult[NlpEvaluation] | None = None
-
-    @property
-    def violation(self) -> float:
-        """Largest violation of the present trajectory at any time, whatever its peak."""
-        return self._separated(np.inf).worst.value
-
-    @property
-    def peak(self) -> float:
-        """Largest value of the objective at any time of the present trajectory."""
-        return self._separated(np.inf).peak
 
     def end_attempt(self) -> None:
         """Go on where an attempt ended, if nearly all but its bound is met there; otherwise start again."""
@@ -336,15 +328,22 @@ class _Exchange:
         return factor * self._options.smoothing * self.form.smoothing()[0]
 
     def run(
-        self, smoothing: float, *, bound: float | None = None, target: float = 0.0, attempt: bool = False
+        self,
+        smoothing: float,
+        *,
+        bound: float | None = None,
+        target: float = 0.0,
+        attempt: bool = False,
+        found: Separation | None = None,
     ) -> float:
         """Solve and separate until nothing is violated; return the peak.
 
-        An attempt is given up as soon as the solver ends far from the constraints that it knows.
+        An attempt is given up as soon as the solver ends far from the constraints that it knows. What the
+        present trajectory violates may be `found` before.
         """
         o = self._options
         stage = Stage(smoothing=smoothing, bound=bound, target=target, tolerance=o.feasibility_tolerance)
-        found = self._separated(np.inf if bound is None else bound)
+        found = found or self.separated(np.inf if bound is None else bound)
         self._constraints, left = found.added_to(self._constraints), o.stalls
         while True:
             if len(self.reports) >= o.max_passes:
@@ -354,7 +353,7 @@ class _Exchange:
             end, iterations, done = self._solved(start, attempt=attempt)
             self.form, self._constraints = end.parametrization, end.constraints
             limit = max(end.peak, target) if bound is None else bound
-            found = self._separated(limit)
+            found = self.separated(limit)
             known, self._constraints = self._constraints, found.added_to(self._constraints)
             self._report(stage, iterations, found, ended=done)
             worst, nothing_new = found.worst_beside(limit), self._constraints is known
@@ -413,14 +412,14 @@ class _Exchange:
         if result.status is SqpStatus.INFEASIBLE:
             self.form = result.iterate.parametrization
             limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
-            found = self._separated(limit)
+            found = self.separated(limit)
             self._keep(found)
             reason = "near the trajectory that was found the constraints cannot all be met"
             raise self._failure(reason, found.worst_beside(limit))
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT
 
-    def _separated(self, bound: float) -> Separation:
-        """Find what the present trajectory violates."""
+    def separated(self, bound: float) -> Separation:
+        """Find what the present trajectory violates, its peak held below a bound."""
         o, trajectory = self._options, self.form.trajectory
         return find_violations(self._program, trajectory, bound, o.feasibility_tolerance, o.most_violations)
 
@@ -441,7 +440,7 @@ class _Exchange:
     def stopped(self) -> OptimisationFailed:
         """Return that the time was over, with what is violated most, whatever the peak was held below."""
         reason = f"{self._options.stop_reason()} before the optimisation met every constraint"
-        return self._failure(reason, self._separated(np.inf).worst, stopped=True)
+        return self._failure(reason, self.separated(np.inf).worst, stopped=True)
 
     def _failure(self, reason: str, worst: Violation, *, stopped: bool = False) -> OptimisationFailed:
         return worst.failure(reason, trajectory=self.form.trajectory, stopped=stopped)

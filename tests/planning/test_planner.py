@@ -159,8 +159,8 @@ def test_what_does_not_hold_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """The certificate has the last word: an optimiser that cheats is caught."""
     honest = motion.optimise
 
-    def cheating(*arguments: Any) -> Any:
-        optimised = honest(*arguments)
+    def cheating(*arguments: Any, **more: Any) -> Any:
+        optimised = honest(*arguments, **more)
         a = optimised.trajectory.a.copy()
         a[3] += 1e-3
         return replace(optimised, trajectory=replace(optimised.trajectory, a=a))
@@ -284,9 +284,9 @@ def test_a_way_that_no_trajectory_follows_is_given_up_soon(
     failures, reports = list[OptimisationFailed](), list[ExchangeReport]()
     whole = motion.optimise
 
-    def optimise(problem: TorqueProblem, told: object) -> Optimised:
+    def optimise(problem: TorqueProblem, told: object, **more: bool) -> Optimised:
         try:
-            return whole(problem, None if failures else reports.append)
+            return whole(problem, None if failures else reports.append, **more)
         except OptimisationFailed as failure:
             failures.append(failure)
             raise
