@@ -346,7 +346,7 @@ class _Planner:
             # What is told is why the whole path failed.
             refused = uncut.setdefault(file.part_of or file.name, planned)
             is_slow = earlier is not None or planned.shortest is not None
-            if is_slow or not cuts.cut(planned.trial.chain[0].attempt, outcome):
+            if is_slow or deadline.expired() or not cuts.cut(planned.trial.chain[0].attempt, outcome):
                 return refused
             scene = with_cuts(asked, request.cell.robot, cuts.ends)
             try:

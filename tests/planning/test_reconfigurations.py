@@ -11,7 +11,10 @@ from small_scenes import panda_scene, request_of
 import cmbot
 from cmbot.archive import Asked, load_plan, save, verified_motions
 from cmbot.common.errors import ArchiveError, PathNotFound
-from cmbot.planning import plan, with_cuts
+from cmbot.planning import build_request, plan, with_cuts
+from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import NoWay
+from cmbot.planning.attempts.reconfigurations import Reconfigurations
 from cmbot.scene import Scene, load_scene
 
 
@@ -106,6 +109,28 @@ def test_a_blocked_place_is_told_and_nothing_is_cut() -> None:
     with pytest.raises(PathNotFound, match=r"is blocked at .* ball") as caught:
         plan(load_scene(scene.as_data() | {"obstacles": [ball]}))
     assert "work_" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("cut", "part", "within"), [(0.7, 0, (0.0, 0.7)), (1.6, 0, (0.0, 1.6)), (0.7, 1, (0.7, 3))]
+)
+def test_a_part_is_cut_within_itself(cut: float, part: int, within: tuple[float, float]) -> None:
+    """Where the tool was then: else cuts of a part within a leg lead to each other without an end."""
+    asked = turning_legs(100.0)
+    cuts = Reconfigurations(asked)
+    cuts.ends["work"] = (cut,)
+    robot = request_of(asked).cell.robot
+    request = build_request(with_cuts(asked, robot, cuts.ends), asked.planner).at_stroke(part)
+    whole = request_of(asked).stroke.path
+    for time in request.times[2:-1]:
+        cuts.ends["work"] = (cut,)
+        failure = NoWay(error=request.path_not_found("none", request.first, time))
+        assert cuts.cut(Attempt(request=request, guess=failure), failure)
+        end = cuts.ends["work"][-1]
+        assert within[0] < end < within[1]
+        before = request.times[np.searchsorted(request.times, time - 1e-9) - 1]
+        there = whole.position(whole.times_at(int(end), np.array([end % 1])))
+        np.testing.assert_allclose(there, request.task.path.position([before]), rtol=0, atol=1e-4)
 
 
 def test_parts_share_seconds_and_via_points() -> None:

@@ -52,17 +52,17 @@ class Reconfigurations:
         # Fixed knots are those of the path of gradient projection, which leads on from one posture.
         if reached is None or first.request.cell.options.knots == "fixed":
             return False
-        behind = _behind(first.request, reached)
-        if file.legs and behind < 1:
-            # Of the leg that the part begins in, the rest.
-            behind *= 1 - begin % 1
-        else:
-            behind -= begin % 1
-        end, asked = round(begin + behind, _PLACE_DIGITS), self._asked[name]
+        asked = self._asked[name]
+        leg, share = divmod(_behind(first.request, reached), 1)
+        leg += int(begin)
+        # Of the legs that the part begins and ends in it has some.
+        last = next((each for each in self.ends.get(name, ()) if each > begin), asked.steps)
+        since = max(begin, leg)
+        end = round(since + share * (min(leg + 1, last) - since), _PLACE_DIGITS)
         # Parts behind this one are cut anew.
         ends = (*(each for each in self.ends.get(name, ()) if each <= begin), end)
         most = _MOST_CUTS if asked.reconfigurations is None else asked.reconfigurations
-        if not asked.can_be_cut(end) or min(behind, asked.steps - end) < _SHORTEST_PART or len(ends) > most:
+        if not asked.can_be_cut(end) or min(end - begin, last - end) < _SHORTEST_PART or len(ends) > most:
             return False
         self.ends[name] = ends
         return True
