@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from cmbot.common.reading.fields import MILLIMETRES, no_thousands
 from cmbot.common.reading.validation import CheckedFields, refusal, shown
 from cmbot.common.representation import ShortRepr
 from cmbot.toolpath import AUTO
@@ -164,7 +165,7 @@ class PlannerOptions(CheckedFields, ShortRepr):
     chart_spacing: Annotated[float, Field(ge=0.01, le=0.5)] = 0.15
     chart_seeds: Annotated[int, Field(ge=1, le=10_000)] = 200
     step_share: Annotated[float, Field(ge=1e-6, le=1)] = 0.6
-    safety_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.02
+    safety_margin_m: Annotated[float, Field(ge=0, le=1e3), no_thousands(1, MILLIMETRES)] = 0.02
     max_tool_deviation_m: Annotated[float, Field(ge=1e-7, le=0.1)] = 0.0002
     max_tool_rotation_deg: Annotated[float, Field(ge=1e-5, le=180)] = 1.0
     max_tool_lag_m: Annotated[float, Field(ge=1e-7, le=1)] = 0.02

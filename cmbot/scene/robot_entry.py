@@ -11,13 +11,16 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.poses import pose
 from cmbot.common.reading.fields import (
+    IN_REACH,
     Angles,
     FilePath,
     FolderPath,
     Length,
     Mass,
     OneOf,
+    Place,
     Posture,
+    Sides,
     Slug,
     Text,
     Vector,
@@ -44,22 +47,28 @@ class ToolShapeFile(OneOf):
 
     one_of = ("box", "cylinder", "capsule", "sphere", "mesh")
 
-    box: tuple[Length, Length, Length] | None = None
+    box: Annotated[tuple[Length, Length, Length], IN_REACH] | None = None
     """Edge lengths along its x, y, z, m."""
-    cylinder: tuple[Length, Length] | None = None
+    cylinder: Sides | None = None
     """[radius, length along z], m."""
-    capsule: tuple[Length, Length] | None = None
+    capsule: Sides | None = None
     """[radius, length along z between the centres of its two half spheres], m."""
-    sphere: Length | None = None
+    sphere: Annotated[Length, IN_REACH] | None = None
     """Radius, m."""
     mesh: FilePath | None = None
     """Path of a mesh file, relative to the scene file; it counts as its convex hull."""
     scale: Scale = 1.0
     """Of a mesh: what makes metres of its numbers, 0.001 where they are millimetres."""
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Place = (0.0, 0.0, 0.0)
     """Centre (of a mesh: its origin), m."""
     rpy_deg: Angles = _ZERO_ROTATION
     """Roll, pitch, yaw as in URDF."""
+
+    def _check(self) -> None:
+        super()._check()
+        if self.mesh is None and self.scale != 1.0:
+            expected = f"no such key beside {self.given}, whose numbers are metres"
+            raise refusal(expected, got=self.scale, key=("scale",))
 
     @property
     def shape(self) -> ToolShape:
@@ -75,13 +84,13 @@ class ToolShapeFile(OneOf):
 class AttachedToolFile(FileModel):
     """A tool that is fixed to the robot's tool frame, its flange; all in the flange's frame."""
 
-    xyz: Vector
+    xyz: Place
     """The tool point, m."""
     rpy_deg: Angles = _ZERO_ROTATION
     """How the tool's frame is turned, whose z axis is the tool's."""
     mass_kg: Mass = 0.0
     """Mass, kg."""
-    com: Vector | None = None
+    com: Place | None = None
     """Centre of mass, m; left out: that of its shapes, without shapes half way to the tool point."""
     shapes: Annotated[tuple[ToolShapeFile, ...], Field(max_length=100)] = ()
     """Its shapes: they keep the clearance, and are drawn."""
@@ -197,7 +206,7 @@ class RobotFile(FileModel):
     """Folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None
     """Where its base frame is held; left out: its root link is at the origin of W."""
-    tool_length_m: Length | None = None
+    tool_length_m: Annotated[Length, IN_REACH] | None = None
     """Length of the tool, m; left out: as in the model."""
     tool: AttachedToolFile | None = None
     """In place of `tool_length_m`: the tool that is fixed to the tool frame."""

@@ -28,8 +28,10 @@ from cmbot.common.reading.validation import FileModel, hint, refusal, shown
 SHORTEST_LEG = 1e-6
 """m."""
 
+# No part of a robot is larger, m.
+_LARGEST_PART_M = 10.0
 # Nothing that bends is thicker or longer, m, or softer, Pa: such numbers are in mm and N/mm2.
-_THICKEST_M, _THICKEST_WALL_M, _LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 0.5, 50.0, 1e6, 1e3
+_THICKEST_M, _THICKEST_WALL_M, LONGEST_TUBE_M, _SOFTEST_PA, _MOST_GPA = 4.0, 0.5, 50.0, 1e6, 1e3
 MILLIMETRES = "metres: millimetres"
 """What `no_thousands` asks of too long a length, m."""
 SHORTEST, LONGEST = 1e-6, 1e4
@@ -125,7 +127,7 @@ def require_tube(start: Sequence[float], end: Sequence[float], diameter: float, 
     if 2 * wall > diameter:
         thinner = f"; millimetres? then {wall / 1000:g}" if wall >= _THICKEST_WALL_M else ""
         raise refusal(f"at most half of outer_diameter_m{thinner}", got=wall, key=("wall_m",))
-    if math.dist(start, end) > _LONGEST_TUBE_M:
+    if math.dist(start, end) > LONGEST_TUBE_M:
         key, far = max(("start_m", start), ("end_m", end), key=lambda each: math.hypot(*each[1]))
         metres = ", ".join(f"{x / 1000:z.6g}" for x in far)
         raise refusal(f"metres: millimetres? then [{metres}]", got=far, key=(key,))
@@ -137,6 +139,12 @@ Thickness = Annotated[float, Field(ge=1e-5, le=LONGEST), no_thousands(_THICKEST_
 Modulus = Annotated[float, Field(gt=0, le=1e13), AfterValidator(_in_pascals)]
 Coordinate = Annotated[float, Field(ge=-LONGEST, le=LONGEST)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
+IN_REACH = no_thousands(_LARGEST_PART_M, MILLIMETRES)
+"""Of what is fixed to a robot, or holds it."""
+Sides = Annotated[tuple[Length, Length], IN_REACH]
+"""Of a part of a robot, m."""
+Place = Annotated[Vector, IN_REACH]
+"""On a link or a tool, m."""
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
 Angle = Annotated[float, Field(ge=-360, le=360)]

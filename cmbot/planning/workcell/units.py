@@ -24,6 +24,8 @@ _HUGE, _VAST = 5.0, 50.0
 # What is nearer than so many times the arm's reach is near it.
 _NEAR_REACHES = 4.0
 _MILLIMETRE = 1e-3
+# No base is placed more exactly, mm.
+_NO_BASE_MM = 0.01
 # On a base softer than this in every direction, N/m, an arm would sink by centimetres.
 _SOFTEST_N_M = 1e4
 # Keys, the units that their numbers look like and their own, and the sizes of numbers that do. No magnet for
@@ -33,7 +35,7 @@ _SUSPECTS: tuple[tuple[str, tuple[str, str], Callable[[FloatArray], bool]], ...]
     (r"start\.posture_deg", ("radians", "degrees"), lambda size: _is_uneven_turn(size)),
     (
         r"start\.posture",
-        ("degrees", "rad (start.posture_deg is in degrees)"),
+        ("degrees, or mm of a joint that slides", "rad and m (start.posture_deg is in degrees)"),
         lambda size: size.max() > _TURN,
     ),
     (r"(guardrail|base)\..*(adhesion|force)_n", ("kN", "N"), lambda size: size.max() < 100.0),
@@ -48,7 +50,8 @@ _SUSPECTS: tuple[tuple[str, tuple[str, str], Callable[[FloatArray], bool]], ...]
         lambda size: _in_radians(size, 45.0),
     ),
     (r"tool_path\..*\.(angle|from|to)_deg", ("radians", "degrees"), lambda size: _in_radians(size, 15.0)),
-    (r"(robot\.tool|tool\.fixed)\.xyz", ("millimetres", "metres"), lambda size: size.max() > _VAST),
+    (r"tool\.fixed\.xyz", ("millimetres", "metres"), lambda size: size.max() > _VAST),
+    (r"uncertainty\.(foot|workpiece)\.mm", ("metres", "mm"), lambda size: 0 < size.max() <= _NO_BASE_MM),
 )
 # Places along a path, m, which may be as far from the origin as the robot is.
 _PLACES = re.compile(r"frames\..*\.xyz|tool_path\..*(\.(xyz|by|via|to|centre|origin|u|v)|waypoints)")

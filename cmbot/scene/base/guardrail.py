@@ -18,6 +18,8 @@ from cmbot.collision import Box, Obstacle
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.poses import pose
 from cmbot.common.reading.fields import (
+    LONGEST_TUBE_M,
+    MILLIMETRES,
     Angle,
     Coordinate,
     Length,
@@ -25,6 +27,7 @@ from cmbot.common.reading.fields import (
     OneOf,
     Slug,
     Thickness,
+    no_thousands,
     si_fields,
 )
 from cmbot.common.reading.validation import FileModel, refusal, shown
@@ -153,7 +156,7 @@ class GuardrailFile(FileModel):
 
     bays: Annotated[int, Field(ge=0, le=100)] = 4
     """Fields between posts; 0: no guardrail."""
-    post_spacing_m: Length = 1.75
+    post_spacing_m: Annotated[Length, no_thousands(LONGEST_TUBE_M, MILLIMETRES)] = 1.75
     """Distance from post to post, m."""
     post: PostFile = PostFile()
     rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAIL_MEMBERS

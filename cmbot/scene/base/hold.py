@@ -14,7 +14,17 @@ from shapely.affinity import rotate, translate
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.poses import pose
-from cmbot.common.reading.fields import Angle, Angles, Coordinate, Length, OneOf, Text, Vector
+from cmbot.common.reading.fields import (
+    IN_REACH,
+    Angle,
+    Angles,
+    Coordinate,
+    Length,
+    OneOf,
+    Place,
+    Sides,
+    Text,
+)
 from cmbot.common.reading.validation import FileModel, refusal, shown
 from cmbot.elastic import AngleSection, BarSection, FlatSection, Guardrail, Section, yield_moments
 from cmbot.hold import MAGNET_PRESSURE, Contact, Foot, Gap
@@ -41,11 +51,11 @@ class PadFile(OneOf):
 
     one_of = ("rectangle_m", "disc_m")
 
-    rectangle_m: tuple[Length, Length] | None = None
+    rectangle_m: Sides | None = None
     """Sides along and across, m."""
-    disc_m: Length | None = None
+    disc_m: Annotated[Length, IN_REACH] | None = None
     """Diameter, m."""
-    at_m: tuple[Coordinate, Coordinate] = (0.0, 0.0)
+    at_m: Annotated[tuple[Coordinate, Coordinate], IN_REACH] = (0.0, 0.0)
     """Its centre along and across, m."""
     turn_deg: Angle = 0.0
     """By which it is turned about its centre."""
@@ -65,7 +75,7 @@ class HoldFile(FileModel):
 
     kind: Literal["magnet", "clamp", "welded"]
     """``welded`` says nothing about whether it holds."""
-    plate_m: tuple[Length, Length] = (0.15, 0.13)
+    plate_m: Sides = (0.15, 0.13)
     """Sides of the plate along the member and across it, m."""
     pads: Annotated[tuple[PadFile, ...], Field(min_length=1, max_length=50)] | None = None
     """What is in contact, such as the three toes of a foot, in place of one plate."""
@@ -330,7 +340,7 @@ class LinkHoldFile(HoldFile):
 
     link: Text | None = None
     """The link, which the arm's joints do not move; left out: the arm's base frame."""
-    xyz: Vector = (0.0, 0.0, 0.0)
+    xyz: Place = (0.0, 0.0, 0.0)
     """Centre of the plate in the link's frame, m."""
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     """Its turn in the link's frame: x along, y across, z away from what the plate holds."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import trimesh
 from command_line import run, write_scene
+from pydantic import ValidationError
 from small_scenes import SHORT, short_scene
 
 import cmbot
@@ -15,7 +18,8 @@ from cmbot.common.errors import SceneError
 from cmbot.common.installation import shipped_scenes
 from cmbot.planning import precheck_scene, robot_of
 from cmbot.planning.workcell.units import mistaken_units, require_metres
-from cmbot.scene.robot_entry import AttachedToolFile
+from cmbot.scene.changes import changed_content
+from cmbot.scene.robot_entry import AttachedToolFile, ToolShapeFile
 
 TABLE = {"name": "table", "box": [1000, 800, 60], "xyz": [1800, 700, -2700]}
 WALL = {"name": "wall", "box": [20, 0.3, 5], "xyz": [0, 60, 0]}
@@ -151,22 +155,17 @@ def test_a_fixed_tool_in_millimetres_is_told_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("payload", "mass", "z", "suspected"),
+    ("payload", "mass", "suspected"),
     [
-        (5, 4, 0.12, {}),
-        (
-            500,
-            400,
-            120,
-            {"robot.payload_kg": "grams", "robot.tool.mass_kg": "grams", "robot.tool.xyz": "millimetres"},
-        ),
+        (5, 4, {}),
+        (500, 400, {"robot.payload_kg": "grams", "robot.tool.mass_kg": "grams"}),
     ],
 )
-def test_a_payload_and_a_tool_in_grams_and_millimetres_are_suspected(
-    payload: float, mass: float, z: float, suspected: dict[str, str]
+def test_a_payload_and_a_tool_in_grams_are_suspected(
+    payload: float, mass: float, suspected: dict[str, str]
 ) -> None:
     scene = short_scene(robot={"payload_kg": payload})
-    tool = AttachedToolFile(xyz=(0.0, 0.0, z), mass_kg=mass)
+    tool = AttachedToolFile(xyz=(0.0, 0.0, 0.12), mass_kg=mass)
     scene = scene.model_copy(update={"robot": scene.robot.model_copy(update={"tool": tool})})
     assert {key: looks for key, looks, _ in mistaken_units(scene)} == suspected
 
@@ -187,3 +186,55 @@ def test_a_raster_in_millimetres_is_refused_for_that_first(given: dict[str, Any]
     path = {"raster": {**ROWS, **given}, "speed_m_s": 0.1}
     with pytest.raises(SceneError, match=said):
         cmbot.load_scene({**SHORT, "tool_path": path})
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "advised"),
+    [
+        ("guardrail.hold.plate_m", [150, 130], "[0.15, 0.13]"),
+        ("guardrail.post_spacing_m", 1750, "1.75"),
+        ("planner.safety_margin_m", 20, "0.02"),
+        ("robot.tool_length_m", 300, "0.3"),
+        ("robot.tool.xyz", [0, 0, 150], "[0, 0, 0.15]"),
+        ("robot.tool.com", [0, 0, 75], "[0, 0, 0.075]"),
+        ("robot.tool.shapes[0].cylinder", [20, 130], "[0.02, 0.13]"),
+        ("robot.tool.shapes[0].xyz", [0, 0, 65], "[0, 0, 0.065]"),
+        ("base.hold.plate_m", [100, 100], "[0.1, 0.1]"),
+        ("base.hold.xyz", [0, 0, -50], "[0, 0, -0.05]"),
+        ("base.hold.pads[0].disc_m", 60, "0.06"),
+        ("base.hold.pads[1].at_m", [-100, 170], "[-0.1, 0.17]"),
+    ],
+)
+def test_millimetres_of_a_part_of_the_robot_are_refused_and_the_advice_helps(
+    key: str, given: Any, advised: str
+) -> None:
+    """A foot as wide in metres as it is in millimetres would hold anything."""
+    arm = {"model": "panda", "tool": {"xyz": [0, 0, 0.1], "shapes": [{"cylinder": [0.02, 0.1]}]}}
+    pads = [{"disc_m": 0.06, "at_m": [0.2, 0]}, {"disc_m": 0.06, "at_m": [-0.1, 0.17]}]
+    hold = {"kind": "magnet", "adhesion_n": 900} | ({"pads": pads} if "pads" in key else {})
+    parts: dict[str, dict[str, Any]] = {
+        "robot.tool.": {"robot": arm, "start": {"posture": [0.0] * 7}, "guardrail": {"bays": 0}},
+        "base.": {"base": {"name": "base", "hold": hold}},
+        "guardrail.hold.": {"guardrail": {"hold": {"kind": "magnet", "adhesion_n": 9000}}},
+    }
+    parts["base."] |= parts["robot.tool."]
+    data = SHORT | next((part for begins, part in parts.items() if key.startswith(begins)), {})
+    with pytest.raises(SceneError) as caught:
+        cmbot.load_scene(changed_content(data, {key: given}))
+    said = re.fullmatch(
+        rf".*: {re.escape(key)}: got .*, expected metres: millimetres\? then (.*)", str(caught.value)
+    )
+    assert said and said[1] == advised
+    cmbot.load_scene(changed_content(data, {key: json.loads(advised)}))
+
+
+def test_a_scale_of_a_tool_shape_that_is_no_mesh_is_refused() -> None:
+    """It would do nothing."""
+    with pytest.raises(ValidationError, match="expected no such key beside cylinder"):
+        ToolShapeFile(cylinder=(0.02, 0.13), scale=0.001)
+
+
+@pytest.mark.parametrize(("mm", "suspected"), [(0.002, ["uncertainty.foot.mm"]), (0.05, [])])
+def test_a_foot_known_within_metres_is_suspected(mm: float, suspected: list[str]) -> None:
+    scene = short_scene(uncertainty={"foot": {"mm": mm, "deg": 0.2}})
+    assert [key for key, *_ in mistaken_units(scene)] == suspected
