@@ -307,11 +307,18 @@ class Holding:
         """Return what a foot uses most of what it bears under a wrench (1, 6), where something is known."""
         uses = list[FootUse]()
         for number, foot in enumerate(self.feet):
-            asked = [*zip(np.abs(self.load(number, wrench)[0]), foot.bounds, LOADS, strict=True)]
+            load = self.load(number, wrench)[0]
+            names = [
+                name.replace("off", "onto") if value < 0 else name
+                for name, value in zip(LOADS, load, strict=True)
+            ]
+            asked = [*zip(np.abs(load), foot.bounds, names, strict=True)]
             if foot.adhesion is not None:
                 asked.append((max(self.needed(number, wrench)[0], 0.0), foot.adhesion, "N of adhesion"))
             which = f"foot {number + 1}" if len(self.feet) > 1 else "a foot"
             for k, (value, most, name) in enumerate(asked):
+                if not np.isfinite(most):
+                    continue
                 words = f"{value:.0f} {name}, times safety {foot.safety:g}, where {which} has {most:.0f} "
                 words, share = words + name.split()[0], float(foot.safety * value / most)
                 bound = ("force_n", "moment_nm", "adhesion_n")[k // 3]

@@ -1,5 +1,6 @@
 """Robots that hold no guardrail: a link on pads, such as a cart on three toes or a plate on a wall."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -128,3 +129,13 @@ def test_beside_a_guardrail_the_feet_are_its_own() -> None:
     data = cmbot.load_scene("triangle").as_data()
     with pytest.raises(SceneError, match=r"base.hold: .*expected guardrail.hold: base.hold"):
         cmbot.load_scene(data | {"base": {"name": "rail", "hold": {"kind": "clamp"}}})
+
+
+@pytest.mark.parametrize(("roll", "way"), [(0, "onto"), (180, "off")])
+def test_a_load_is_told_with_its_direction(roll: float, way: str) -> None:
+    """What stands presses on the steel, what hangs pulls off it; a bound that is not given is not told."""
+    clamp = {"kind": "clamp", "force_n": [100] * 3, "moment_nm": [800] * 3, "rpy_deg": [roll, 0, 0]}
+    error = next(each for each in precheck_scene(held(**clamp)).warnings if each.key == "base.hold.force_n")
+    assert re.match(rf"\d+ N {way} the steel, times safety 2, where a foot has 100 N$", error.got)
+    found = dict(precheck_scene(held(adhesion_n=500)).found)
+    assert found["of what the feet bear there, safety included"].endswith("where a foot has 500 N")
