@@ -155,7 +155,8 @@ def lighter(scene: Scene, request: StrokeRequest) -> str:
             each = [float(f"{share * part:.2g}") for part in np.atleast_1d(load)]
             less = each if len(each) > 1 else each[0]
             with_less = replace(cell, robot=robot_of(scene.with_values({key: less})))
-            if not with_less.strong(with_less.postures.at(q))[0]:
+            at_rest = (with_less, q), (with_less.tool_off, scene.posture[None])
+            if not all(each.strong(each.postures.at(posture))[0] for each, posture in at_rest):
                 continue
             if nearest_miss(replace(request, cell=with_less), is_clear=True) is None:
                 return f"{key} {less} instead of {np.array(load).tolist()} would do at rest"
