@@ -27,13 +27,12 @@ from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.planning.workcell.units import FAR_REACHES, mistaken_units, require_metres, unit_findings
 from cmbot.planning.workcell.workcell import (
     bending_arm,
-    held_point,
     identified_in_words,
     rigid_parts_remark,
     robot_of,
     stiffness_point,
 )
-from cmbot.robot import Dynamics, Finding, Robot
+from cmbot.robot import Dynamics, Finding, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, coverage_of, mount_entry
 from cmbot.toolpath import FaceSurface, ToolPath
 from cmbot.trajectory import SUPPORT
@@ -92,7 +91,9 @@ def precheck_scene(scene: Scene) -> Precheck:
         strokes = strokes_of(scene, robot)
         require_metres(scene, robot)
     task = task_of(strokes[0], scene)
-    start = [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot), *_clearance_at_start(scene, robot)]
+    place = Kinematics(robot).tool_pose(scene.posture).translation
+    start: list[_Found] = [(f"tool point in {scene.posture_key}", f"({_point(place)}) m")]
+    start += [*_hold_at_start(scene, robot), *_sag_at_start(scene, robot), *_clearance_at_start(scene, robot)]
     start += [*_statics_at_start(scene, robot, task), *_return(scene, robot)]
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
@@ -116,7 +117,7 @@ def _asked(
     """What a scene asks for: robot, paths, surroundings, the tool, and what was assumed."""
     joints = counted(robot.dof, "joint")
     workpieces = counted(sum(obstacle.workpiece for obstacle in scene.all_obstacles), "workpiece")
-    point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
+    point = _point(task.path.corners[0])
     yield "scene", f"{scene.name} ({scene.source})"
     yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
     yield from _paths(strokes)
@@ -127,7 +128,7 @@ def _asked(
     goal = scene.strokes[0].start_pose
     as_before = goal is not None and goal.rpy_deg is goal.axis is None and task.keep != "position"
     turned = f", turned as in {scene.posture_key}: from has no rpy_deg and no axis" * as_before
-    yield "tool point at the start", f"({point}) m, its axis along ({axis}){turned}"
+    yield "tool point where its path begins", f"({point}) m, its axis along ({axis}){turned}"
     if robot.pushed:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
         slowly = f", which sets in within {robot.tool_ramp:g} s" if robot.tool_ramp else ""
@@ -146,9 +147,13 @@ def _asked(
         yield "stiffness", identified
 
 
+def _point(place: FloatArray) -> str:
+    return ", ".join(f"{x:.4f}" for x in place + 0.0)
+
+
 def _place(at: Sequence[float], scene: Scene, robot: Robot) -> str:
     """Where a point (3,), m, is from what the base holds, in words."""
-    by = np.array(at) - held_point(scene, robot)
+    by = np.array(at) - (robot.foot_point if scene.on_guardrail else robot.base_pose.translation)
     away, held = float(np.linalg.norm(by)), "the foot" if scene.on_guardrail else robot.base_frame
     if away <= _SAME_PLACE_M:
         return f"at {held}"

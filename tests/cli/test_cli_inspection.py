@@ -31,7 +31,10 @@ def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
     assert found["via-points"] == "50"
     assert found["robot"].startswith("cmbot: 7 joints, ")
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
-    assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m, its axis along (0.77, 0, -0.64)"
+    assert (
+        found["tool point where its path begins"]
+        == "(1.8154, 0.7796, -2.0628) m, its axis along (0.77, 0, -0.64)"
+    )
     last = out.splitlines()[-1]
     checked = "No warning. Checked: the start, and places along the path, each for a posture that is within"
     unchecked = "Not checked: the way from one to the next; cmbot plan triangle finds out."
@@ -48,7 +51,7 @@ def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
     legs = {"from": {"xyz": [1.8, 0.7, -2.0]}, "legs": [{"by": [0, -0.1, 0], "seconds": 4}]}
     out = run("check", write_scene(tmp_path / "from.yaml", {**SHORT, "tool_path": legs})).out
     turned = ", turned as in start.posture_deg: from has no rpy_deg and no axis"
-    assert values(out)["tool point at the start"].endswith(turned)
+    assert values(out)["tool point where its path begins"].endswith(turned)
 
 
 # The tool, a cylinder of radius 0.04 m, is 0.01 m deep in it, or as far away.

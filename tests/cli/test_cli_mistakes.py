@@ -111,7 +111,8 @@ def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
     scene = SHORT | {"start": {"posture": SHORT["start"]["posture_deg"]}}
     line = refusal("check", write_scene(tmp_path / "degrees.yaml", scene))
     assert ": start.posture[0]: got " in line
-    assert line.endswith(": start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")
+    looks = "start.posture looks like degrees, or mm of a joint that slides, it is in rad and m"
+    assert line.endswith(f": {looks} (start.posture_deg is in degrees)")
 
 
 def test_stiffness_and_adhesion_in_other_units_are_suspected(tmp_path: Path) -> None:

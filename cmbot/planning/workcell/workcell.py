@@ -18,6 +18,7 @@ from cmbot.accuracy import ramped, stroke_sway
 from cmbot.collision import Clearances, Obstacle, extent_of
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, ModelError, SceneError
+from cmbot.common.reading.fields import LONGEST_TUBE_M, MILLIMETRES
 from cmbot.common.reading.validation import counted
 from cmbot.common.representation import ShortRepr
 from cmbot.elastic import Guardrail, elastic_base, shares
@@ -244,13 +245,12 @@ def load_remark(scene: Scene, robot: Robot) -> str:
 
 def tube_warning(scene: Scene, robot: Robot) -> str:
     """Say that a base bends beside the arm, or a tube is longer than its obstacle; empty where all fits."""
-    (away, held), base, told = _beside_stiffness(scene, robot), scene.base_name, list[str]()
+    (away, place), base, told = _beside_stiffness(scene, robot), scene.base_name, list[str]()
     if away > _TOLD_BESIDE_M:
         elsewhere = "bends at the origin of W,", "robot.mount"
         ends, key = ("ends", "base.tube.end_m") if _tube_end(scene) else elsewhere
         told.append(
-            f"The {base} {ends} {away:.2g} m from the arm's base at ({_numbers(held)}) m: what is between is "
-            f"taken to be rigid ({key})."
+            f"The {base} {ends} {away:.2g} m from {place}: what is between is taken to be rigid ({key})."
         )
     tube = None if scene.base is None else scene.base.tube
     for obstacle in scene.all_obstacles:
@@ -381,36 +381,45 @@ def robot_of(scene: Scene) -> Robot:
 
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
-    (away, held), tube = _beside_stiffness(scene, robot), scene.base and scene.base.tube
-    if tube and away > _MOST_BESIDE_M:
-        end, length = _numbers(tube.end_m), math.dist(tube.start_m, held)
-        along = np.subtract(tube.end_m, tube.start_m)
-        got = f"an end {math.dist(tube.end_m, held):.3g} m from what it holds, the arm at ({_numbers(held)})"
-        expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}], "
-        # Clamped where the arm is: a mast stands, so that its start is below its end.
-        below = _numbers(np.subtract(held, -along if along[2] < 0 else along).tolist())
-        expected += (
-            f"start_m: [{below}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
-        )
-        if not scene.on_guardrail:
-            expected += f", or robot.mount: {{xyz: [{end}], rpy_deg: [0, 0, 0]}}"
-        raise SceneError(scene.source, "base.tube.end_m", got, expected)
+    tube, held, mount = scene.base and scene.base.tube, _base_point(scene, robot), scene.robot.mount
+    if not tube or min(math.dist(tube.end_m, point) for point in (held, robot.base_point)) <= _MOST_BESIDE_M:
+        return
+    end, length = _numbers(tube.end_m), math.dist(tube.start_m, held)
+    if mount and length > LONGEST_TUBE_M:
+        metres = _numbers([x / 1000 for x in mount.xyz])
+        got = f"[{_numbers(mount.xyz)}], {length:.3g} m from base.tube.start_m"
+        raise SceneError(scene.source, "robot.mount.xyz", got, f"{MILLIMETRES}? then [{metres}]")
+    along = np.subtract(tube.end_m, tube.start_m)
+    got = f"an end {math.dist(tube.end_m, held):.3g} m from what it holds, the arm at ({_numbers(held)})"
+    expected = f"at most {_MOST_BESIDE_M:g} m; set end_m: [{_numbers(held)}], "
+    # Clamped where the arm is: a mast stands, so that its start is below its end.
+    below = _numbers(np.subtract(held, -along if along[2] < 0 else along).tolist())
+    expected += f"start_m: [{below}]" if length <= _MOST_BESIDE_M else f"so that it is {length:.3g} m long"
+    if not scene.on_guardrail:
+        expected += f", or robot.mount: {{xyz: [{end}], rpy_deg: [0, 0, 0]}}"
+    raise SceneError(scene.source, "base.tube.end_m", got, expected)
 
 
 def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
-    """Return where the base holds the robot, m, in W: at its foot, or at the arm's base frame."""
-    held: list[float] = robot.base_pose.translation.tolist()
-    return robot.foot_point if scene.on_guardrail else held
+    """Return where the base holds the robot, m, in W: a tube's end, the foot, or the arm's base frame."""
+    return _tube_end(scene) or _base_point(scene, robot)
 
 
-def _beside_stiffness(scene: Scene, robot: Robot) -> tuple[float, Sequence[float]]:
-    """How far from the arm a base's stiffness acts, m, zero without one, and where the arm's base is."""
-    at, held = stiffness_point(scene), held_point(scene, robot)
-    if at is None:
-        return 0.0, held
-    # A column that lifts an arm may end at its first joint; a mount says where the arm stands.
-    points = [held] if scene.robot.mount and _tube_end(scene) else [held, robot.base_point]
-    return min(math.dist(at, point) for point in points), held
+def _base_point(scene: Scene, robot: Robot) -> Sequence[float]:
+    """The foot of a climber, or the origin of the arm's base frame, m, in W."""
+    frame: list[float] = robot.base_pose.translation.tolist()
+    return robot.foot_point if scene.on_guardrail else frame
+
+
+def _beside_stiffness(scene: Scene, robot: Robot) -> tuple[float, str]:
+    """How far from the arm a base's stiffness acts, m, zero without one, and from which place, in words."""
+    at, held, joint = stiffness_point(scene), _base_point(scene, robot), robot.base_point.tolist()
+    places = [("the arm's base", held), ("the arm's first joint", joint)]
+    # A column that lifts an arm may end at its first joint; where that turns, a mount says where the arm is.
+    if scene.robot.mount and _tube_end(scene) and not robot.limits.prismatic[0]:
+        places.pop()
+    away, name, place = min((math.dist(at or held, point), name, point) for name, point in places)
+    return away * (at is not None), f"{name} at ({_numbers(place)}) m"
 
 
 def _numbers(point: Sequence[float]) -> str:

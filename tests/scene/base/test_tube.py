@@ -2,17 +2,19 @@
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
+from rail_arms import rail_data
 from scipy.linalg import null_space
 from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.elastic.beam import beam_mass, beam_stiffness
-from cmbot.planning import rigid_parts_remark, robot_of, tube_warning
+from cmbot.planning import held_point, rigid_parts_remark, robot_of, tube_warning
 from cmbot.scene import Scene, load_scene
 
 MAST: dict[str, Any] = {
@@ -186,3 +188,22 @@ def test_a_tube_that_starts_at_the_arm_is_told_to_stand_below_it(end: tuple[floa
     start, top = (np.array(tube[key]) for key in ("start_m", "end_m"))
     np.testing.assert_allclose(top, 0, atol=1e-9)
     np.testing.assert_allclose(start, np.array(end) * (-1 if end[2] > 0 else 1), atol=1e-9)
+
+
+def test_a_tube_may_end_at_a_first_joint_that_slides_with_and_without_a_mount(tmp_path: Path) -> None:
+    """A column that lifts the arm: where its base frame is held, no arm is."""
+    tube = load_scene("mast_inspection").as_data()["base"]["tube"] | {"start_m": [0, 0, -1]}
+    data = rail_data(tmp_path) | {"guardrail": {"bays": 0}}
+    data["robot"]["mount"] = mount = {"xyz": [0.0, 0.0, 0.0], "rpy_deg": [0, 0, 0]}
+    joint = [0.1, 0, 0.1]
+    for end, away in ((0.0, ""), (0.4, "The mast ends 0.4 m from the arm's first joint at (0.1, 0, 0.1)")):
+        data["base"] = {"name": "mast", "tube": tube | {"end_m": [joint[0], 0, joint[2] + end]}}
+        for stands in ({}, {"mount": mount}):
+            robot = {key: value for key, value in data["robot"].items() if key != "mount"}
+            scene = load_scene(data | {"robot": robot | stands})
+            said = tube_warning(scene, robot_of(scene))
+            assert said.startswith(away) and bool(said) == bool(away)
+            assert held_point(scene, robot_of(scene)) == scene.base.tube.end_m
+    mount["xyz"] = [0, 0, 700]
+    with pytest.raises(SceneError, match=r"mount.xyz: got \[0, 0, 700\], .*millimetres\? then \[0, 0, 0.7\]"):
+        robot_of(load_scene(data))
