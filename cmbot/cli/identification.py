@@ -119,7 +119,9 @@ def _print_identification(found: Identification, target: Path) -> None:
     if rows := list(told.mode_rows(found)):
         print_table("Frequencies", told.MODE_HEADINGS, rows)
     print_lines(told.remarks(found))
-    out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}")
+    rigid = found.stiffness.joints and found.measurements[-1].scene.robot.joints == "rigid"
+    needs = ", with robot.joints: elastic in place of rigid" if rigid else ""
+    out.print(f"Written to {one_line(target)}; in a scene: identified: {one_line(target)}{needs}")
 
 
 def _promised(made: Proposal) -> dict[str, object]:

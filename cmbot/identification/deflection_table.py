@@ -77,9 +77,10 @@ def read_deflections(
         own = dict[str, object]() if gauge_sd_mm is None else {"gauge_sd_mm": gauge_sd_mm}
         own |= {key: values[row] for key, values in given.items() if cells[setup[key]].lower() not in GAPS}
         hung = np.isfinite(deflections[row]).any()
-        if hung and weight is not None and "weight_kg" not in own:
-            key = f"line {table.lines[row]}, {table.names[weight]}"
-            raise InputError(table.source, key, "nothing", "the weight that was hung on, kg")
+        if hung and weight is not None and not own.get("weight_kg"):
+            key, got = f"line {table.lines[row]}, {table.names[weight]}", cells[weight] or "nothing"
+            expected = "the weight that was hung on, kg: a row is a place with it less that without it"
+            raise InputError(table.source, key, got, expected)
         sheets[tuple(own.items())].append(row)
     along = job if job is None else job.tolist()
     data = {"format": "cmbot-measurements/1", "scene": _named(scene), "job": along}

@@ -317,7 +317,7 @@ def estimate(
         return _estimate(sheets, modelled)
     except TooSoftError as error:
         heaviest = max(sheet.setup.weight_kg for sheet in sheets)
-        expected = f"weight_kg in kg, not g, of an arm that carries itself and {heaviest:g} kg"
+        expected = f"weight_kg in kg, not g or N, of an arm that carries itself and {heaviest:g} kg"
         raise InputError(sheets[0].source, "measurements", error.got, expected) from error
 
 

@@ -37,12 +37,16 @@ _UNSEEN_SHARE = 0.9
 _MAX_ERROR_RATIO, _PLAIN_MISFIT = 5.0, 1e-3
 # How far a stiffness may be from its model, in standard deviations of the prior: bases that mix all
 # directions are 5 away. By what share of its bound a joint holds a weight: postures are about those proposed.
-_MAX_STIFFNESS_SIGMAS, _HELD_SHARE = 8.0, 1.1
+_MAX_STIFFNESS_SIGMAS, _HELD_SHARE, _NEVER_HELD_SHARE = 8.0, 1.1, 2.0
 # In which deflections may be, by their factors; smaller ones, m, have no direction.
 _UNITS = {1e3: "m", 1e-3: "um", 10.0: "cm", 0.1: "tenths of a millimetre", 0.01: "hundredths of a millimetre"}
 _ZERO_M = 1e-12
 _SLIP = "a slip, a wrong sign or axis, the gauge not at robot.tool_frame? Measure again or write null"
-_AS_MODELLED = "the gauge at robot.tool_frame, a base as modelled (guardrail) or prior: {base: 2} in a sheet"
+_AS_MODELLED = (
+    "postures in deg where the key ends in _deg, the gauge at robot.tool_frame, "
+    "a base as modelled (guardrail) or prior: {base: 2} in a sheet"
+)
+_KG = "kg, not g or N"
 _ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
 # What a sensor shows of gravity at rest, in g, m/s2 and mm/s2, and by which share it may be off; how far a
 # record's rest may be from gravity in its axes and posture, and how near others are that fit, deg.
@@ -249,6 +253,8 @@ def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
         for name, X_TF in _other_frames(found.modelled.robot) * (axes == "tool"):
             tried.append((f"with robot.tool_frame: {name} it fits", rest @ (gravity @ X_TF.rotation)))
         for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
+            if np.linalg.det(np.eye(3)[list(order)] * signs) < 0:
+                continue  # a mirror, which no mounting is
             each = ", ".join("-" * (sign < 0) + "xyz"[k] for k, sign in zip(order, signs, strict=True))
             fits = f"with the sensor's {each} in place of x, y, z it fits"
             tried.append((fits, rest[list(order)] * signs @ gravity))
@@ -329,14 +335,16 @@ def require_fit(found: Identification) -> None:
     Raises
     ------
     InputError
-        A record's rest is not gravity along its axes, a row is far from what the others predict, all of them
-        fit several times worse than stated, a joint cannot hold the weight, most frequencies of a posture are
+        A record's rest is not gravity along its axes, a joint cannot hold the weight, a row is far from what
+        the others predict, all of them fit several times worse than stated, most frequencies of a posture are
         of no mode, or the arm is far from its model.
     """
     for source, key, off, fits in _rests(found):
         if off > _MOST_OFF_DEG:
             got = f"a mean {off:.0f} deg away from gravity in this posture along its record_axes"
             raise InputError(source, key, got, f"less than {_MOST_OFF_DEG:g}: {fits}; or {_ACCEPT}")
+    # So wrong a weight explains what does not fit.
+    _require_held(found, _NEVER_HELD_SHARE)
     if wrong := [slip for slip in found.slips if slip.significant]:
         (source, key, got, expected), *others = (_in_words(found, slip) for slip in wrong)
         also = "".join(f"; nor does {other[1]} fit" for other in others)
@@ -350,11 +358,12 @@ def require_fit(found: Identification) -> None:
         source, key = found.measurements[0].source, "measurements"
         if part.kind == "prior":
             got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
-            expected = f"deflections in mm by weight_kg in kg, not g, {_AS_MODELLED}"
+            expected = f"deflections in mm by weight_kg in {_KG}, {_AS_MODELLED}"
         else:
             got = f"{part.kind} that fit {part.scale:.0f} times worse than stated"
             expected = (
-                f"right units (mm; kg, not g), axes, postures, gauge_sd_mm, windup_sd_arcmin, {_AS_MODELLED}"
+                f"right units (mm; {_KG}), places with the weight less those without it, axes, gauge_sd_mm, "
+                f"windup_sd_arcmin, {_AS_MODELLED}"
             )
         if part.kind == "frequencies_hz":
             expected = "records of this arm in these postures, without the weight, true weight_kg and errors"
@@ -364,13 +373,13 @@ def require_fit(found: Identification) -> None:
             got = f"{got}: {far.frequency:.4g} Hz of mode {_either(far)}"
         expected = _mistaken(found) or expected
         raise InputError(source, key, got, f"{expected}; or {_ACCEPT}")
-    _require_held(found)
+    _require_held(found, _HELD_SHARE)
     _require_modes(found)
     _require_prior(found)
 
 
-def _require_held(found: Identification) -> None:
-    """Refuse a weight that a joint of the arm cannot hold in its posture."""
+def _require_held(found: Identification, most_share: float) -> None:
+    """Refuse a weight with which a joint bears more than a share of its bound in a posture."""
     robot = found.modelled.robot
     bound = np.where(robot.limits.assumed_torque, np.inf, robot.limits.torque)
     for sheet in found.measurements:
@@ -382,14 +391,14 @@ def _require_held(found: Identification) -> None:
         # A joint that does not hold the arm without the weight says nothing of the weight.
         use = np.where(np.abs(rest) < bound, np.abs(torque) / bound, 0.0)
         k, joint = np.unravel_index(use.argmax(), use.shape)
-        if use[k, joint] <= _HELD_SHARE:
+        if use[k, joint] <= most_share:
             continue
         by, unit = torque[k, joint] - rest[k, joint], "N" if robot.limits.prismatic[joint] else "Nm"
         most = kg * (bound[joint] - np.sign(by) * rest[k, joint]) / abs(by)
         got = f"{kg:g} kg, with which {robot.joints[joint]} bears {abs(torque[k, joint]):.3g} {unit}"
         expected = f"at most {bound[joint]:.3g} {unit}, which holds {most:.2g} kg in this posture"
         raise InputError(
-            sheet.source, sheet.key(rows[k]), got, f"{expected}; weight_kg in kg, not g; or {_ACCEPT}"
+            sheet.source, sheet.key(rows[k]), got, f"{expected}; weight_kg in {_KG}; or {_ACCEPT}"
         )
 
 
@@ -417,7 +426,7 @@ def _require_prior(found: Identification) -> None:
         f"{name.partition(',')[0]} {factor:.3g} times as stiff as modelled, {off:.1f} standard deviations of "
         f"what is known before ({100 * before:.0f} %)"
     )
-    expected = f"deflections in mm by weight_kg in kg, not g, {_AS_MODELLED}"
+    expected = f"deflections in mm by weight_kg in {_KG}, {_AS_MODELLED}"
     raise InputError(found.measurements[0].source, "measurements", got, f"{expected}; or {_ACCEPT}")
 
 

@@ -48,6 +48,8 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
     assert "joint_2" in outcome.out
     target = measured.with_name("measured.stiffness.yaml")
     assert f"Written to {target}" in outcome.out
+    # As the sheet's scene has it, they were not used.
+    assert outcome.out.endswith(f"identified: {target}, with robot.joints: elastic in place of rigid\n")
     data = short_scene(robot={"joints": "elastic"}).as_data() | {"identified": target.name}
     scene = measured.with_name("known.yaml")
     scene.write_text(json.dumps(data), encoding="utf-8")
@@ -182,7 +184,7 @@ def test_a_table_of_deflections_says_what_its_sheets_do(
         ("q1,q2,q3,q4,q5,q6,q7,dx", "0,0,0,0,0,0,0,1", "a column weight_kg"),
         ("q1,q2,q3,q4,q5,q6,q7,kg", "0,0,0,0,0,0,0,1", "columns dx, dy, dz"),
         ("q1,q2,q3,q4,q5,q6,kg,dx", "0,0,0,0,0,0,1,1", "no column of joint"),
-        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,0,0,1", "line 2, weight_kg: got 0"),
+        ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,0,0,1", "line 2, kg: got 0"),
         ("q1,q2,q3,q4,q5,q6,q7,kg,dx (furlong)", "0,0,0,0,0,0,0,1,1", "the unit furlong"),
         ("q1,q2,q3,q4,q5,q6,q7,kg,dx", "0,0,0,0,0,0,x,1,1", "line 2, q7"),
     ],

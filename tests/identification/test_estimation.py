@@ -231,7 +231,7 @@ def test_deflections_that_no_arm_has_are_refused(
 ) -> None:
     given = found[2].measurements[0]
     heavy = replace(given, setup=given.setup.changed(weight_kg=9000.0))
-    with pytest.raises(InputError, match="in kg, not g, of an arm that carries itself and 9000 kg"):
+    with pytest.raises(InputError, match="in kg, not g or N, of an arm that carries itself and 9000 kg"):
         estimate(heavy, modelled)
 
 
