@@ -97,7 +97,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     start += [*_statics_at_start(scene, robot, task), *_return(scene, robot)]
     found = [*_asked(scene, robot, strokes, task), *(each for each in start if isinstance(each, tuple))]
     warnings = [*_too_strong(scene, robot), *_warnings(start), *_out_of_reach(strokes, robot)]
-    units = [*unit_findings(scene)]
+    units = [*unit_findings(scene, robot)]
     # They may explain the others.
     first = "".join(f"; first see {each.key}, {each.got}" for each in units[:1])
     blocked = (replace(each, expected=f"{each.expected}{first}") for each in without_posture(scene))
@@ -378,8 +378,8 @@ def failures_explained(scene: Scene) -> Iterator[None]:
                 soft = f"so soft a base or arm that on its path there is {error.got}"
                 raise SceneError(scene.source, scene.softest_key, soft, _STIFF) from error
     except (PlanningError, SceneError) as error:
-        if isinstance(error, PlanningError):
-            robot = robot_of(scene)
+        robot = robot_of(scene) if isinstance(error, PlanningError) else None
+        if robot is not None:
             if line := isinstance(error, PathNotFound) and line_of(Path(scene.source), error.key):
                 error.add_source(f"line {line}")
             for warning in _warnings(_hold_at_start(scene, robot)):
@@ -389,7 +389,7 @@ def failures_explained(scene: Scene) -> Iterator[None]:
             for warning in _warnings(_sag_at_start(scene, robot)):
                 error.add_hint(f"{_with_line(scene, warning.key)} has {warning.got}")
         block = None if isinstance(error, PlanningError) else error.key.partition(".")[0]
-        for number, (key, looks, units) in enumerate(mistaken_units(scene)):
+        for number, (key, looks, units) in enumerate(mistaken_units(scene, robot)):
             told, where = f"looks like {looks}, it is in {units}", _with_line(scene, key)
             if block is None and number == 0:
                 # It may explain the failure: it comes before what else would do.

@@ -204,7 +204,7 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
 def _faults(plan: Plan) -> Iterator[Note]:
     """What is missing of what was asked."""
     if unreached := plan.whole_coverage.unreached:
-        found = [*unit_findings(plan.scene), *precheck_options(plan.options, plan.scene.tool)]
+        found = [*unit_findings(plan.scene, plan.robot), *precheck_options(plan.options, plan.scene.tool)]
         likely = [f" First see {each.key}: {each.got}, expected {each.expected}." for each in found]
         values = {"area_m2": plan.whole_coverage.area, "unreached_m2": unreached}
         yield _note("fault", "unreached", **values, likely="".join(likely[:1]))
@@ -254,7 +254,7 @@ def _told(plan: Plan) -> Iterator[Note]:
         if told:
             yield _note("note", "stiffness", text=told)
     yield from _slid(plan)
-    for key, looks, units in mistaken_units(plan.scene):
+    for key, looks, units in mistaken_units(plan.scene, plan.robot):
         yield _note("warning", "units", of=key, looks=looks, units=units)
 
 

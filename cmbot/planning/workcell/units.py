@@ -26,6 +26,9 @@ _NEAR_REACHES = 4.0
 _MILLIMETRE = 1e-3
 # No base is placed more exactly, mm.
 _NO_BASE_MM = 0.01
+# No joint that turns takes so long to its velocity, s, with so little acceleration, rad/s2; none that slides
+# has as much, m/s2.
+_SLOWEST_START_S, _SLOWEST_RAD_S2, _FASTEST_M_S2 = 5.0, np.radians(10.0), 50.0
 # On a base softer than this in every direction, N/m, an arm would sink by centimetres.
 _SOFTEST_N_M = 1e4
 # Keys, the units that their numbers look like and their own, and the sizes of numbers that do. No magnet for
@@ -59,8 +62,12 @@ _PLACES = re.compile(r"frames\..*\.xyz|tool_path\..*(\.(xyz|by|via|to|centre|ori
 _NEARLY_WHOLE_DEG = 0.1
 
 
-def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
+def mistaken_units(scene: Scene, robot: Robot | None = None) -> Iterator[tuple[str, str, str]]:
+    """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own.
+
+    With a robot the limits of its joints, too.
+    """
+    yield from () if robot is None else _mistaken_limits(robot)
     stiffness, mount, stance = scene.elastic_guardrail.stiffness, scene.robot.mount, scene.stance
     if stiffness is not None and np.diag(stiffness)[:3].max() < _SOFTEST_N_M:
         yield scene.softest_key, "N/mm", "N/m and Nm/rad"
@@ -78,6 +85,16 @@ def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
             yield f"obstacles[{number}]", "millimetres", "metres (scale: 1 says that they are)"
 
 
+def _mistaken_limits(robot: Robot) -> Iterator[tuple[str, str, str]]:
+    """Accelerations with which a joint that turns is slow to start, or one that slides fast."""
+    limits = robot.limits
+    seconds, slides = limits.velocity / limits.acceleration, limits.prismatic
+    if ((seconds > _SLOWEST_START_S) & (limits.acceleration < _SLOWEST_RAD_S2) & ~slides).any():
+        yield "robot.limits", "accelerations in rad/s2", "deg/s2"
+    if (limits.acceleration > _FASTEST_M_S2)[slides].any():
+        yield "robot.limits", "accelerations in mm/s2", "m/s2"
+
+
 def _is_uneven_turn(size: FloatArray) -> bool:
     """Whether angles are at most a turn in radians, and two of them no whole numbers."""
     return bool(0.5 < size.max() <= _TURN and (np.abs(size - size.round()) > 1e-6).sum() >= 2)
@@ -91,14 +108,16 @@ def _in_radians(size: FloatArray, whole: float) -> bool:
     return bool(size.any() and (times >= 1).all() and (off < _NEARLY_WHOLE_DEG).all() and angles.max() < 361)
 
 
-def unit_findings(scene: Scene) -> Iterator[Finding]:
+def unit_findings(scene: Scene, robot: Robot | None = None) -> Iterator[Finding]:
     """Yield a warning for all that `mistaken_units` yields.
 
     Parameters
     ----------
     scene : Scene
+    robot : Robot, optional
+        Whose limits are looked at, too.
     """
-    for key, looks, units in mistaken_units(scene):
+    for key, looks, units in mistaken_units(scene, robot):
         yield Finding(severity="warning", key=key, got=f"numbers that look like {looks}", expected=units)
 
 

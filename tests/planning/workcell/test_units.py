@@ -11,13 +11,14 @@ import pytest
 import trimesh
 from command_line import run, write_scene
 from pydantic import ValidationError
+from rail_arms import rail_data
 from small_scenes import SHORT, short_scene
 
 import cmbot
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import shipped_scenes
 from cmbot.planning import precheck_scene, robot_of
-from cmbot.planning.workcell.units import mistaken_units, require_metres
+from cmbot.planning.workcell.units import mistaken_units, require_metres, unit_findings
 from cmbot.scene.changes import changed_content
 from cmbot.scene.robot_entry import AttachedToolFile, ToolShapeFile
 
@@ -127,8 +128,9 @@ def test_what_is_long_is_warned_of_until_its_scale_is_given(
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_no_shipped_scene_is_suspected(name: str) -> None:
     scene = cmbot.load_scene(name)
-    require_metres(scene, robot_of(scene))
-    assert not [*mistaken_units(scene)]
+    robot = robot_of(scene)
+    require_metres(scene, robot)
+    assert not [*mistaken_units(scene, robot)]
 
 
 def test_a_long_guardrail_is_no_obstacle_in_millimetres() -> None:
@@ -238,3 +240,19 @@ def test_a_scale_of_a_tool_shape_that_is_no_mesh_is_refused() -> None:
 def test_a_foot_known_within_metres_is_suspected(mm: float, suspected: list[str]) -> None:
     scene = short_scene(uncertainty={"foot": {"mm": mm, "deg": 0.2}})
     assert [key for key, *_ in mistaken_units(scene)] == suspected
+
+
+@pytest.mark.parametrize(
+    ("turning", "sliding", "suspected"),
+    [(60, 0.5, []), (4.19, 0.5, ["rad/s2"]), (60, 160, ["mm/s2"]), (4.19, 160, ["rad/s2", "mm/s2"])],
+)
+def test_accelerations_in_radians_or_millimetres_are_suspected(
+    turning: float, sliding: float, suspected: list[str], tmp_path: Path
+) -> None:
+    """By the check; what is planned with them fails late, and for what follows from them."""
+    data = rail_data(tmp_path)
+    listed = f"all: {{acceleration_deg: {turning}, acceleration_m_s2: {sliding}}}"
+    (tmp_path / "limits.yaml").write_text(f"format: cmbot-joint-limits/1\n{listed}\n", encoding="utf-8")
+    scene = cmbot.load_scene(data)
+    told = [each.got for each in unit_findings(scene, robot_of(scene))]
+    assert told == [f"numbers that look like accelerations in {unit}" for unit in suspected]
