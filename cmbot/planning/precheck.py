@@ -18,6 +18,7 @@ from cmbot.common.installation import install_command
 from cmbot.common.reading.validation import counted
 from cmbot.common.reading.yaml_reader import line_of, lines_named
 from cmbot.common.representation import ShortRepr
+from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.hold import LOADS, FootUse
 from cmbot.optimization import piqp_module
@@ -274,16 +275,34 @@ def _sag_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     arm = bending_arm(scene, robot)
     if arm is None:
         return
-    try:
-        sag = float(Sag(arm.tool_off).distance(scene.posture[None])[0])
-    except TooSoftError:
-        got = f"so soft a base or arm that the arm topples in {scene.posture_key}"
-        yield _warning(scene.softest_key, got, _STIFF)
+    sag, (key, expected) = _sag_of(arm, scene.posture), _softest(scene, robot)
+    if sag is None:
+        yield _warning(key, f"so soft a base or arm that the arm topples in {scene.posture_key}", expected)
         return
     yield "sag of the tool there", f"{1e3 * sag:.2f} mm"
     if sag > _MUCH_SAG_M:
-        got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
-        yield _warning(scene.softest_key, got, _STIFF)
+        yield _warning(key, f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}", expected)
+
+
+def _sag_of(arm: ElasticArm, posture: FloatArray) -> float | None:
+    """How far the tool sags at rest in a posture (n,), m, with the tool off; None: the arm topples."""
+    try:
+        return float(Sag(arm.tool_off).distance(posture[None])[0])
+    except TooSoftError:
+        return None
+
+
+def _softest(scene: Scene, robot: Robot) -> tuple[str, str]:
+    """The key of what is too soft, and what is expected: the arm where it sags on a rigid base, too."""
+    arm, springs = elastic_arm(robot, None), robot.joint_elasticity
+    sag = _sag_of(arm, scene.posture) if len(arm.elastic) else 0.0
+    if sag is not None and sag <= _MUCH_SAG_M:
+        return scene.softest_key, _STIFF
+    expected = "stiffness in its elasticity file with which the arm bears its weight"
+    if springs:
+        name, spring = min(springs.items(), key=lambda each: each[1].stiffness)
+        expected += f"; {name} has {spring.stiffness:g} Nm/rad: Nm/arcmin?"
+    return "identified" if scene.identified else "robot.elasticity", expected
 
 
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
@@ -376,7 +395,8 @@ def failures_explained(scene: Scene) -> Iterator[None]:
                 yield
             except TooSoftError as error:
                 soft = f"so soft a base or arm that on its path there is {error.got}"
-                raise SceneError(scene.source, scene.softest_key, soft, _STIFF) from error
+                key, expected = _softest(scene, robot_of(scene))
+                raise SceneError(scene.source, key, soft, expected) from error
     except (PlanningError, SceneError) as error:
         robot = robot_of(scene) if isinstance(error, PlanningError) else None
         if robot is not None:

@@ -155,6 +155,21 @@ def test_a_base_on_which_the_arm_topples_is_named(tmp_path: Path) -> None:
         raise TooSoftError("Sag.at", "q[2]", "a posture from which the arm topples", "a stiff arm")
 
 
+def test_drives_on_which_the_arm_topples_are_named(tmp_path: Path) -> None:
+    """Not the base, which would not help."""
+    elasticity = tmp_path / "soft.yaml"
+    elasticity.write_text("format: cmbot-elasticity/2\njoints: {panda_joint2: {stiffness_nm_rad: 14}}\n")
+    scene = cmbot.load_scene("mast_inspection").with_values({"robot.elasticity": str(elasticity)})
+    found = [each for each in cmbot.planning.precheck_scene(scene).warnings if "topples" in each.got]
+    assert [each.key for each in found] == ["robot.elasticity"]
+    assert found[0].expected.endswith("panda_joint2 has 14 Nm/rad: Nm/arcmin?")
+    with (
+        pytest.raises(cmbot.SceneError, match=r"robot\.elasticity: got so soft .* topples"),
+        failures_explained(scene),
+    ):
+        raise TooSoftError("Sag.at", "q[2]", "a posture from which the arm topples", "a stiff arm")
+
+
 def test_check_refuses_a_leg_that_no_plan_reaches(tmp_path: Path) -> None:
     far = {**SHORT, "tool_path": {**SHORT["tool_path"], "legs": [{"by": [0, -400, 0], "seconds": 900}]}}
     outcome = run("check", write_scene(tmp_path / "far.yaml", far))
@@ -236,7 +251,7 @@ def test_every_option_is_listed_with_default_bounds_and_meaning() -> None:
     assert listed["start"] == "free  (free, pinned)"
     assert listed["chart_seeds"] == f"{defaults.chart_seeds}  (whole, 1 to 10000)"
     assert listed["compensate"] == "auto  (auto, true or false)"
-    assert listed["safety_margin_m"] == "0.02  (0 to 10)"
+    assert listed["safety_margin_m"] == "0.02  (0 to 1000)"
     assert listed["axis_weights"].endswith("(a list of 3 numbers, each 0 to 1e+06)")
     assert (scene_folder() / "scene.schema.json").is_file()
 
