@@ -184,6 +184,12 @@ def test_what_a_controller_answers_is_looked_at(
     assert "done" not in capsys.readouterr().out
 
 
+def test_without_ros_nothing_is_sent(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    runpy.run_path(str(EXAMPLES / "07_send_to_a_robot.py"))["send"]({}, "/arm")
+    assert capsys.readouterr().out == "ROS 2 is not installed here: nothing is sent\n"
+
+
 def future(value: Any) -> Any:
     """Something of rclpy that has ended."""
     return SimpleNamespace(result=lambda: value)
