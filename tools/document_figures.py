@@ -62,7 +62,7 @@ def gains(name: str) -> Iterator[Row]:
     if baseline is None or None in (*budgets, *sag, *rests):
         sys.exit(f"{name}: nothing bends there")
     yield "tool within, with 95 %, mm", *(f"{budget.within_mm:.1f}" for budget in budgets if budget)
-    yield "sag of the tool off its path, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
+    yield "bent tool off its path, at rest, mm", *(f"{1e3 * x:.1f}" for x in sag if x is not None)
     yield "sway beside the sag, mm", *(f"{1e3 * each.largest(each.dynamic):.1f}" for each in motions)
     yield "swing after the work, mm", *(f"{1e3 * rest.diameter:.2f}" for rest in rests if rest)
     both = baseline.job_figures, plan.job.figures

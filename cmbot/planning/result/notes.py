@@ -202,17 +202,19 @@ def _free_moves(plan: Plan) -> Iterator[Note]:
 
 
 def _faults(plan: Plan) -> Iterator[Note]:
-    """What is missing of what was asked."""
+    """What is missing of what was asked, and what is kept and looks as if it were not."""
     if unreached := plan.whole_coverage.unreached:
         found = [*unit_findings(plan.scene, plan.robot), *precheck_options(plan.options, plan.scene.tool)]
         likely = [f" First see {each.key}: {each.got}, expected {each.expected}." for each in found]
         values = {"area_m2": plan.whole_coverage.area, "unreached_m2": unreached}
         yield _note("fault", "unreached", **values, likely="".join(likely[:1]))
-    off, allowed = plan.bent_offsets[1], plan.options.max_tool_deviation_m
+    (without, off), allowed = plan.bent_offsets, plan.options.max_tool_deviation_m
     if off is not None and off > allowed:
         values = {"off_mm": 1e3 * off, "allowed_mm": 1e3 * allowed, "pushed": plan.robot.pushed}
         key = "off_path" if np.isfinite(off) else "too_soft"
         yield _note("fault", key, **values, base=plan.scene.base_name)
+    elif off is not None and without is not None and without < off:
+        yield _note("note", "deviates", off_mm=1e3 * off, without_mm=1e3 * without, allowed_mm=1e3 * allowed)
 
 
 def _start(plan: Plan) -> Iterator[Note]:

@@ -98,7 +98,7 @@ def _tool(plan: Plan) -> Iterator[Row]:
         yield _row(name, "accuracy.within_mm", "mm", ".3g", 1e-3 * accuracy.within_mm, first=True)
     before, after = (off if off is not None and np.isfinite(off) else None for off in plan.bent_offsets)
     if after is not None:
-        name = "sag of the tool off its path"
+        name = "bent tool off its path, at rest"
         yield _row(name, "bent_offsets", "mm", ".2f", after, before, first=True)
     if (sway := plan.sway) is not None:
         (swayed, swung), swing = plan.baseline_sway or (None, None), 1e-3 * sway.swing_mm

@@ -336,6 +336,10 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         f"B{_bent_by(note.pushed)}tool is up to {note.off_mm:.2f} mm off its path, more than "
         f"max_tool_deviation_m ({note.allowed_mm:g} mm), which the rigid arm keeps."
     ),
+    "deviates": (
+        "The bent tool is up to {off_mm:.2f} mm off its path, the baseline's {without_mm:.2f} mm: between "
+        "via-points it may leave the path by max_tool_deviation_m ({allowed_mm:g} mm), which the motion uses."
+    ),
     "too_soft": lambda note: (
         f"NOT STIFF ENOUGH: b{_bent_by(note.pushed)}arm on its {note.base} has no stable equilibrium."
     ),

@@ -84,13 +84,23 @@ def test_sag_beyond_the_allowed_deviation_is_told(
     # The simulation sways about the sag.
     found, moved = 1e-3 * float(said.split()[10]), short_tracking.planned
     assert abs(found - moved.largest_off_path) <= moved.largest(moved.dynamic)
-    (row,) = (row for row in short_plan.rows() if row[0] == "sag of the tool off its path, mm")
+    (row,) = (row for row in short_plan.rows() if row[0] == "bent tool off its path, at rest, mm")
     assert row[-1] == f"{1e3 * found:.2f}"
     for sags, expected in ((0.99 * found, True), (1.01 * found, False)):
         options = replace(short_plan.options, max_tool_deviation_m=sags)
         told = " ".join(remarks(replace(short_plan, options=options)))
         assert ("Bent by its own weight" in told) == expected
     assert "Bent by" not in " ".join(remarks(compensated_short[0]))
+
+
+def test_a_tool_further_off_than_the_baselines_is_explained(compensated_short: tuple[Plan, Tracking]) -> None:
+    plan = compensated_short[0]
+    _, off = plan.bent_offsets
+    for without, told in ((0.9 * off, True), (1.1 * off, False)):
+        other = replace(plan)
+        other.__dict__["bent_deviation"] = ([(np.zeros(1), np.array([without]))], plan.bent_deviation[1])
+        said = " ".join(remarks(other))
+        assert (f"{1e3 * off:.2f} mm off its path, the baseline's {1e3 * without:.2f} mm: " in said) == told
 
 
 def test_a_base_too_soft_for_an_equilibrium_is_told(triangle_plan: Plan) -> None:
