@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, NoReturn, Self
 
 from threadpoolctl import threadpool_limits
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.errors import InputError, PathNotFound, PlanningError
 from cmbot.common.poses import rpy_deg
 from cmbot.common.reading.validation import checked_options, require_type
+from cmbot.common.reading.yaml_reader import line_of
 from cmbot.common.watching import watched
 from cmbot.planning.attempts.advice import slower_legs
 from cmbot.planning.attempts.agenda import Solved
@@ -359,7 +361,8 @@ class _Planner:
     def refuse(self, scene: Scene, stroke: PlannedStroke) -> NoReturn:
         """Raise why a stroke of a scene is not planned, with what would do."""
         trial, request, missed = stroke.trial, stroke.trial.chain[0].attempt.request, None
-        if not (isinstance(trial.failure, NoWay) and trial.failure.is_start_near):
+        starts_near = isinstance(trial.failure, NoWay) and trial.failure.is_start_near
+        if not starts_near:
             # Before anything else is advised; and it says by how much a place is missed.
             missed = attempted(request, lambda: require_posture(request, is_clear=True))
             trial = trial if missed is None else replace(trial, outcome=missed)
@@ -381,6 +384,10 @@ class _Planner:
                 error.add_hint(f"then {request.deadline.in_words}, was over")
         elif words := "" if self.brief else advice(trial):
             error.add_hint(words)
+        if isinstance(error, PathNotFound) and not starts_near:
+            leg = request.stroke.leg_key(request.task.path.leg_to(error.time))
+            if line := line_of(Path(scene.source), leg):
+                error.add_source(f"line {line}")
         raise error
 
     def _in_given_time(

@@ -200,8 +200,7 @@ def _clearance_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
 def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Iterator[_Found]:
     """How far the start posture is from a singularity, and what the arm asks in it at rest."""
     # Where the work may start elsewhere, the arm waits in the scene's posture with its tool off.
-    stays = scene.planner.start == "pinned" or scene.planner.knots == "fixed"
-    efforts = Dynamics(robot if stays else robot.tool_off).static_efforts(scene.posture[None])
+    efforts = Dynamics(robot if scene.planner.stays else robot.tool_off).static_efforts(scene.posture[None])
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
     joint = robot.joints[use.argmax()]
     yield "smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"
@@ -400,7 +399,9 @@ def failures_explained(scene: Scene) -> Iterator[None]:
     except (PlanningError, SceneError) as error:
         robot = robot_of(scene) if isinstance(error, PlanningError) else None
         if robot is not None:
-            if line := isinstance(error, PathNotFound) and line_of(Path(scene.source), error.key):
+            if near := [*_warnings(_clearance_at_start(scene, robot))]:
+                error.add_source(_with_line(scene, near[0].key))
+            elif line := isinstance(error, PathNotFound) and line_of(Path(scene.source), error.key):
                 error.add_source(f"line {line}")
             for warning in _warnings(_hold_at_start(scene, robot)):
                 # What does not even hold at rest comes first.

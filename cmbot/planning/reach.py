@@ -155,7 +155,8 @@ def lighter(scene: Scene, request: StrokeRequest) -> str:
             each = [float(f"{share * part:.2g}") for part in np.atleast_1d(load)]
             less = each if len(each) > 1 else each[0]
             with_less = replace(cell, robot=robot_of(scene.with_values({key: less})))
-            at_rest = (with_less, q), (with_less.tool_off, scene.posture[None])
+            waits = with_less if scene.planner.stays else with_less.tool_off
+            at_rest = (with_less, q), (waits, scene.posture[None])
             if not all(each.strong(each.postures.at(posture))[0] for each, posture in at_rest):
                 continue
             if nearest_miss(replace(request, cell=with_less), is_clear=True) is None:

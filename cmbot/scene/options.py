@@ -179,3 +179,8 @@ class PlannerOptions(CheckedFields, ShortRepr):
     time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0
     max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80
     max_iterations: Annotated[int, Field(ge=1, le=100_000)] = 1000
+
+    @property
+    def stays(self) -> bool:
+        """Whether the work begins in the scene's posture; else the arm may only wait there, its tool off."""
+        return self.start == "pinned" or self.knots == "fixed"

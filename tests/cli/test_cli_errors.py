@@ -265,7 +265,7 @@ def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:
     assert (outcome.status, outcome.out) == (3, "")
     (error,) = outcome.err.splitlines()
     assert re.fullmatch(
-        r"error: \S*far\.yaml: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
+        r"error: \S*far\.yaml: line 1: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
         error,
     )
     assert "singular" not in error  # it is not the reason
