@@ -30,6 +30,8 @@ _KEYS: dict[str, str] = {
     "payload": "payload_kg",
     "temperature": "temperature_k",
 }
+# By the ends of keys.
+_UNITS = {"deg": " deg", "arcmin": " arcmin", "kg": " kg", "k": " K"}
 
 # Expansion of tubes, 1/K: of steel, and of what has less than this modulus of elasticity, Pa, aluminium.
 _STEEL, _ALUMINIUM, _STEELS_MODULUS = 12e-6, 23e-6, 1.5e11
@@ -130,7 +132,8 @@ def assumed_in_words(part: str, scene: Scene) -> str | None:
     if key is None or (part == "stiffness" and scene.identified is not None):
         return None
     value, default = map(attrgetter(key), (scene.uncertainty, Uncertainty()))
-    words = f"{value.mm:g} mm, {value.deg:g} deg" if isinstance(value, Placement) else f"{value:g}"
+    unit = _UNITS.get(key.rpartition("_")[2], "")
+    words = f"{value.mm:g} mm, {value.deg:g} deg" if isinstance(value, Placement) else f"{value:g}{unit}"
     return f"{words}: uncertainty.{key}" if value == default else None
 
 

@@ -144,7 +144,7 @@ def located(touches: Touches) -> Location:
         if len(touches.features) - len(counted_in) > most:
             off = 1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0]))
             expected = "touches that fit each other: more than a third does not; look at features and units"
-            raise InputError(touches.source, f"touches[{worst}]", f"{off:.1f} mm from its feature", expected)
+            raise InputError(touches.source, touches.key(worst), f"{off:.1f} mm from its feature", expected)
     if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
         shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
         prior, frame = touches.setup.prior, touches.frame
@@ -267,7 +267,7 @@ def location_remarks(found: Location, touches: Touches) -> Iterator[str]:
     )
     for k in found.left_out:
         off = 1e3 * float(np.linalg.norm(found.residuals[k]))
-        yield f"touches[{k}] is {off:.1f} mm from its feature, unlike the others: it does not count."
+        yield f"{touches.key(k)} is {off:.1f} mm from its feature, unlike the others: it does not count."
     if found.not_fixed:
         yield (
             f"Not fixed by these touches: {'; '.join(found.not_fixed)} of W; there the place is as it was "

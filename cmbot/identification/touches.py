@@ -16,8 +16,9 @@ the feature, and of planes ``nx,ny,nz``, of edges ``ex,ey,ez``, of cylinders the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -40,6 +41,7 @@ from cmbot.scene import Placement, Scene, load_scene
 _MAX_TOUCHES, _LARGEST_CSV = 1000, 1_000_000
 _Shape = Literal["point", "plane", "edge", "cylinder"]
 _TOUCH_SHAPES = get_args(_Shape)
+_TOUCH_KEY = re.compile(r"touches\[(\d+)\](.*)")
 _PLACE_KEYS = ("posture_deg", "posture", "place")
 
 
@@ -157,6 +159,8 @@ class Touches(ShortRepr):
     places : (N, 3), m
         Of the tool point in W: of postures that of the bent arm.
     features : tuple of Feature
+    rows : tuple of str
+        What each is called in messages; empty: ``touches[k]``.
     """
 
     source: str
@@ -166,6 +170,11 @@ class Touches(ShortRepr):
     X_WF: FloatArray
     places: FloatArray
     features: tuple[Feature, ...]
+    rows: tuple[str, ...] = ()
+
+    def key(self, number: int) -> str:
+        """Return what a touch is called in messages."""
+        return self.rows[number] if self.rows else f"touches[{number}]"
 
 
 def read_touches(source: str | Path | Mapping[str, Any], scene: Scene | str | Path | None = None) -> Touches:
@@ -192,15 +201,15 @@ def read_touches(source: str | Path | Mapping[str, Any], scene: Scene | str | Pa
         if scene is None:
             expected = "--scene SCENE (in Python scene=…), as a CSV file of touches names none"
             raise InputError(str(path), "", "no scene", expected)
-        return _touches(_from_csv(path), path.parent, str(path), scene)
+        return _from_csv(path, scene)
     with lines_named(path):
         data = read_yaml(path, InputError, "a file of touches")
         file = validated(TouchesFile, data, str(path), InputError)
         return _touches(file, path.parent, str(path), scene)
 
 
-def _from_csv(path: Path) -> TouchesFile:
-    """The content of a CSV file, whose columns are known by their names."""
+def _from_csv(path: Path, scene: Scene | str | Path) -> Touches:
+    """The touches of a CSV file, whose columns are known by their names; errors name its lines."""
     table = read_table(path, InputError, kind="a CSV file of touches", largest=_LARGEST_CSV)
     joints = [k for k, name in enumerate(table.names) if name.startswith("q")]
     place = table.columns("xyz")
@@ -233,7 +242,16 @@ def _from_csv(path: Path) -> TouchesFile:
             shape = {"edge": {"point": p, "direction": e}}
         touches.append({key: at, **shape})
     data = {"format": "cmbot-touches/1", "scene": "given", "touches": touches}
-    return validated(TouchesFile, data, str(path), InputError)
+    rows = tuple(f"line {line}" for line in table.lines)
+    try:
+        file = validated(TouchesFile, data, str(path), InputError)
+        return replace(_touches(file, path.parent, str(path), scene), rows=rows)
+    except InputError as error:
+        at = _TOUCH_KEY.match(error.key)
+        if at is None or error.source != str(path):
+            raise
+        key = rows[int(at[1])] + at[2].replace(".", ", ")
+        raise InputError(error.source, key, error.got, error.expected, error.choices) from error
 
 
 def _touches(file: TouchesFile, folder: Path, source: str, given: Scene | str | Path | None) -> Touches:

@@ -303,5 +303,6 @@ def _numbers(times: ArrayLike) -> FloatArray:
     except (TypeError, ValueError):
         t = None
     if t is None or t.ndim != 1:
-        raise InputError("QuinticTrajectory", "times", repr(times), "a row of numbers, s")
+        one = "" if t is None or t.ndim else f": [{times}]"
+        raise InputError("QuinticTrajectory", "times", repr(times), f"a row of numbers, s{one}")
     return t

@@ -344,8 +344,8 @@ def test_what_is_assumed_is_said_with_its_value_and_key() -> None:
     default, other = short_scene(), short_scene(uncertainty={"foot": {"mm": 1}, "payload_kg": 2})
     said = {
         "placement of the base": "2 mm, 0.2 deg: uncertainty.foot",
-        "joint calibration": "0.02: uncertainty.joints.calibration_deg",
-        "payload": "1: uncertainty.payload_kg",
+        "joint calibration": "0.02 deg: uncertainty.joints.calibration_deg",
+        "payload": "1 kg: uncertainty.payload_kg",
         "stiffness": "0.3: uncertainty.stiffness_share",
         "sag": None,
     }

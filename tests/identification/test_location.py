@@ -148,6 +148,17 @@ def test_csv_is_known_by_its_columns(scene: Scene, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.moved, located(touches).moved, atol=1e-6)
     with pytest.raises(InputError, match="names none"):
         cmbot.locate(file)
+    # What is the matter with a row is told by its line.
+    touches = read_touches(file, scene)
+    touches.places[3] += [0.0, 0.0, 0.5]
+    (left_out,) = (
+        line for line in location_remarks(located(touches), touches) if "unlike the others" in line
+    )
+    assert left_out.startswith("line 5 is ")
+    lines[2] = ",".join(map(str, [1e6, 0, 0, *each[1].point, "", "", ""]))
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"line 3, place\[0\]: got "):
+        cmbot.locate(file, scene)
 
 
 @pytest.mark.parametrize(

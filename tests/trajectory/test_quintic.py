@@ -171,6 +171,8 @@ def test_times_outside_are_refused(order: int, miss: float) -> None:
 def test_times_that_are_no_numbers_are_refused(times: Any) -> None:
     with pytest.raises(InputError, match=r"times: got .*expected a row of numbers, s"):
         random_trajectory(0).evaluate(times)
+    with pytest.raises(InputError, match=r"times: got 0.01, expected a row of numbers, s: \[0.01\]"):
+        random_trajectory(0).evaluate(0.01)
 
 
 def test_duration_no_times_and_derivatives_beyond_the_fifth() -> None:
