@@ -606,6 +606,12 @@ def test_a_file_with_units_a_pose_times_and_what_is_not_read(tmp_path: Path) -> 
         (stroke,) = load_scene(file).strokes
     np.testing.assert_allclose(np.array(stroke.waypoints)[:, :3], [[1, 2.1, 3], [0.95, 2.1, 3]], atol=1e-12)
     assert stroke.seconds == 3
+    file.write_text(
+        yaml.safe_dump(data | {"tool_path": {"waypoints": place, "keep": "position"}}), encoding="utf-8"
+    )
+    with pytest.warns(UserWarning) as told:
+        load_scene(file)
+    assert "keep: position keeps nothing of qw,qx,qy,qz of way.csv" in [str(each.message) for each in told]
     data["tool_path"]["waypoints"] = place | {"frame": "part"}
     file.write_text(yaml.safe_dump(data), encoding="utf-8")
     with pytest.raises(SceneError, match=r"\.waypoints\.frame: .*, expected xyz and rpy_deg of that frame"):

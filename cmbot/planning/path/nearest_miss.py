@@ -92,7 +92,9 @@ class NearestMiss:
             other = replace(self.request, task=task)
             if _worst(other, self.times, is_clear=self.is_clear) is None:
                 key = f"{self.request.stroke.key}.keep"
-                each.append(f"with {key} {keep}, by which the tool may turn, every place has a posture")
+                told = keep == "position" and self.request.stroke.file.waypoints is not None
+                turns = f"the tool may turn{', whatever the table says of that' * told}"
+                each.append(f"with {key} {keep}, by which {turns}, every place has a posture")
                 break
         return ", or ".join(each)
 

@@ -86,6 +86,8 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         raise SceneError(table.source, "line 1", got, f"the columns x,y,z, and {_needed(keep)}")
     points = table.lengths(used, given.units)
     quaternions = _orientations(table, keep, used)
+    if keep == "position" and (turns := [table.names[k] for k in used[len(_POSITION_COLUMNS) :]]):
+        warnings.warn(f"keep: position keeps nothing of {','.join(turns)} of {path.name}", stacklevel=2)
     time = table.index(*_TIME_COLUMNS)
     seconds = None
     if time is not None:
