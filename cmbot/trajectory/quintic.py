@@ -303,6 +303,6 @@ def _numbers(times: ArrayLike) -> FloatArray:
     except (TypeError, ValueError):
         t = None
     if t is None or t.ndim != 1:
-        one = "" if t is None or t.ndim else f": [{times}]"
+        one = "" if t is None or t.ndim else f": [{times!r}]"
         raise InputError("QuinticTrajectory", "times", repr(times), f"a row of numbers, s{one}")
     return t
