@@ -401,6 +401,8 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         if robot is not None:
             if near := [*_warnings(_clearance_at_start(scene, robot))]:
                 error.add_source(_with_line(scene, near[0].key))
+                if not error.hints:
+                    error.add_hint(f"expected {near[0].expected}")
             elif line := isinstance(error, PathNotFound) and line_of(Path(scene.source), error.key):
                 error.add_source(f"line {line}")
             for warning in _warnings(_hold_at_start(scene, robot)):

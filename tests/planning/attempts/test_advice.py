@@ -233,6 +233,8 @@ def test_a_margin_that_would_do_for_the_start_is_tried_and_told() -> None:
     with pytest.raises(PathNotFound, match=r"reaches 0\.0050 m into ball") as caught:
         plan(near_start(-0.005), progress=False)
     assert "would do" not in str(caught.value)
+    assert str(caught.value).startswith("start.posture_deg: no path: ")
+    assert str(caught.value).endswith("; expected a start that is clear by planner.safety_margin_m")
 
 
 def test_less_is_kept_where_nothing_leads_on(asked: StrokeRequest) -> None:
