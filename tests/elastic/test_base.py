@@ -394,7 +394,7 @@ sections = st.one_of(
 
 @given(
     st.lists(sections, min_size=2, max_size=4),
-    *(powers(-5), powers(-5), powers(-3), powers(-3)),
+    *(powers(-5, 1.6), powers(-5), powers(-3), powers(-3)),
     st.floats(0.01, 1),
 )
 @settings(max_examples=60)
@@ -414,12 +414,13 @@ def test_any_guardrail_gives_a_valid_base_or_an_error(
     )
     try:
         base = elastic_base(found)
+        frequencies = base.frequencies
     except InputError:
         return
     for matrix in (base.stiffness, base.mass):
         scale = 1 / np.sqrt(np.diag(matrix))
         assert np.linalg.eigvalsh(matrix * scale * scale[:, None])[0] > -1e-9
-    assert np.all(base.frequencies > 0)
+    assert np.all(frequencies > 0)
 
 
 def test_guardrails_without_mass_and_without_posts() -> None:
