@@ -150,10 +150,10 @@ def _one_or_more(value: Any, one: Any) -> tuple[HoldFile, ...]:
 
 
 def _with_tuples(value: Any) -> Any:
-    """A mapping with tuples for lists: past a validator pydantic no longer knows that it came from JSON."""
-    if not isinstance(value, dict):
-        return value
-    return {key: tuple(item) if isinstance(item, list) else item for key, item in value.items()}
+    """What has tuples for lists: past a validator pydantic no longer knows that it came from JSON."""
+    if isinstance(value, dict):
+        return {key: _with_tuples(item) for key, item in value.items()}
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def _as_data(holds: Any) -> Any:

@@ -71,6 +71,14 @@ def test_a_list_and_what_is_written_back() -> None:
     assert (foot.contact, foot.moment) == (None, (500, 500, 500))
 
 
+def test_pads_and_deratings_are_read_as_lists() -> None:
+    pads = [{"rectangle_m": [0.05, 0.05], "at_m": [x, 0.0]} for x in (-0.05, 0.05)]
+    hold = {"kind": "magnet", "adhesion_n": 1000.0, "pads": pads, "derating": [[3.0, 0.5], [10.0, 1.0]]}
+    (read,) = scene(hold).guardrail.hold or ()
+    assert read.plate.area == pytest.approx(2 * 0.05**2)
+    assert read.adhesion_on(0.003) == pytest.approx(500.0)
+
+
 @pytest.mark.parametrize(
     ("hold", "message"),
     [
