@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -27,6 +28,8 @@ _KNOT_ARRAYS = ("t", "q", "v", "a")
 _MOST_KNOTS = 100_000
 # Beside its arrays a file has their names and places, bytes.
 _MOST_BESIDE = 1000
+# Of the header of a member: how it begins, its size, and where the sizes of its name and its fields are.
+_ZIP_MEMBER, _HEADER, _SIZES_AT = b"PK\x03\x04", 30, 26
 # Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
 _ZIP_ENTRY, _MOST_ENTRIES = b"PK\x01\x02", 100
 # What zipfile raises for a file that is damaged or no .zip at all.
@@ -108,7 +111,7 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
         raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOT_ARRAYS)}")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            _require_members(archive, source, len(content))
+            _require_members(archive, source, content)
             knots = {name: _array(archive, name, source, dof) for name in _KNOT_ARRAYS}
     except ArchiveError:
         raise
@@ -121,15 +124,24 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
         raise ArchiveError(source, error.key, error.got, error.expected) from error
 
 
-def _require_members(archive: zipfile.ZipFile, source: str, size: int) -> None:
+def _require_members(archive: zipfile.ZipFile, source: str, content: bytes) -> None:
     names = archive.namelist()
     if sorted(names) != sorted(f"{name}.npy" for name in _KNOT_ARRAYS):
         got = shown(", ".join(names[: len(_KNOT_ARRAYS) + 1]))
         raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOT_ARRAYS)}")
-    # Whoever reads the file from its beginning would find what is there.
-    if (beside := size - sum(member.compress_size for member in archive.infolist())) > _MOST_BESIDE:
+    if (beside := len(content) - sum(member.compress_size for member in archive.infolist())) > _MOST_BESIDE:
         expected = f"the arrays alone, at most {_MOST_BESIDE} bytes beside them"
         raise ArchiveError(source, "", f"{beside} bytes beside its arrays", expected)
+    # Some read the file from its beginning, and not by its directory: they would find what is in between.
+    end = 0
+    for member in sorted(archive.infolist(), key=lambda each: each.header_offset):
+        sizes = struct.unpack_from("<HH", content, member.header_offset + _SIZES_AT)
+        begin = member.header_offset + _HEADER
+        if member.header_offset != end or content[begin : begin + sizes[0]] != member.filename.encode():
+            break
+        end = begin + sum(sizes) + member.compress_size
+    if end != archive.start_dir or _ZIP_MEMBER in content[end:]:
+        raise ArchiveError(source, "", "something between its arrays", "one after the other")
 
 
 def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:

@@ -4,6 +4,8 @@ import io
 import json
 import re
 import shutil
+import struct
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -536,6 +538,30 @@ def test_values_are_no_truth_values(exported: Path, short_plan: Plan) -> None:
     data["points"][0]["velocities"] = [False] * len(data["points"][0]["velocities"])
     path.write_text(json.dumps(data))
     assert "velocities[0]: got False" in differs(short_plan, exported)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_another_array_between_the_knots(short_folder: Path, first: bool) -> None:
+    """With a header of its own that the directory does not name: some read one after the other."""
+    content = (short_folder / "job.npz").read_bytes()
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        directory = archive.start_dir
+        members = archive.infolist()
+    small = io.BytesIO()
+    np.savez(small, t=np.zeros(2))
+    with zipfile.ZipFile(io.BytesIO(small.getvalue())) as archive:
+        hidden = small.getvalue()[: archive.start_dir]
+    at = 0 if first else directory
+    entry, end = bytearray(content[directory:-22]), bytearray(content[-22:])
+    for member in members if first else ():
+        where = entry.index(member.filename.encode()) - 4
+        entry[where : where + 4] = struct.pack("<I", member.header_offset + len(hidden))
+    end[16:20] = struct.pack("<I", directory + len(hidden))
+    forged = content[:at] + hidden + content[at:directory] + bytes(entry) + bytes(end)
+    with np.load(io.BytesIO(forged)) as read, np.load(io.BytesIO(content)) as honest:
+        assert (read["t"] == honest["t"]).all()
+    rewrite(short_folder, "job.npz", forged)
+    assert "job.npz: got something between its arrays" in refusal("verify", short_folder)
 
 
 def test_another_motion_before_the_knots(short_folder: Path, short_plan: Plan) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import output, refusal, write_scene
 from plan_folders import edit, promise
-from small_scenes import SHORT, short_scene
+from small_scenes import SHORT, short_scene, strokes_scene
 from walks import one_step, tour_record
 
 from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
@@ -176,6 +176,17 @@ def test_a_stroke_is_done_twice(work: Plan, tmp_path: Path) -> None:
     assert "parts: got work, work, expected each stroke once, as asked" in refusal(
         "verify", folder, "--scene", asked
     )
+
+
+def test_strokes_of_a_stance_are_done_in_the_order_that_is_asked(tmp_path: Path) -> None:
+    scene = in_world(strokes_scene(baseline="none"))
+    folder = write_tour(tmp_path / "tour", work_1=plan(scene))
+    output("verify", folder, "--scene", write_scene(tmp_path / "asked.yaml", scene.as_data()))
+    data = scene.as_data()
+    data["tool_path"]["strokes"].reverse()
+    other = write_scene(tmp_path / "other.yaml", data)
+    refused = refusal("verify", folder, "--scene", other)
+    assert "parts: got tool_path.order: there, back, expected the order that is asked: back, there" in refused
 
 
 def test_parts_are_on_one_bridge(work: Plan, tmp_path: Path) -> None:

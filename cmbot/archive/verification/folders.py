@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +148,8 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
 
     parts = read_tour(folder, read)
     if whole is not None:
-        verdicts.append(Verdict(other_options=_require_tour(folder, parts, whole)))
+        others = _require_tour(folder, parts, whole, leads_on=asked.goal is not None)
+        verdicts.append(Verdict(other_options=others))
     if asked.goal is not None:
         last = parts[-1].motion
         if not isinstance(last, Walk):
@@ -163,27 +164,50 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
     return Verdict(**each)
 
 
-def _require_tour(folder: Path, parts: Sequence[TourPart], asked: Scene) -> tuple[str, ...]:
-    """Refuse a tour of another bridge, or without each stroke asked once; return what else differs."""
+def _require_tour(
+    folder: Path, parts: Sequence[TourPart], asked: Scene, *, leads_on: bool
+) -> tuple[str, ...]:
+    """Refuse a tour of another bridge, without each stroke asked once, or in another order in a stance.
+
+    Also one that walks on after the work, unless that `leads_on` to a goal. Returns what else differs.
+    """
     source, scene = folder / TOUR_FILE, parts[0].motion.scene
     own, common = (bridge_of(one.with_files_of(scene)) for one in (scene, asked))
     require_same(own, common, str(source), "scene", why="asked")
     plans = [part.motion for part in parts if isinstance(part.motion, Plan)]
     strokes = {str(stroke.name): stroke for stroke in asked.strokes}
+    # Of each plan the strokes, each once whose parts it does.
+    each = [list(dict.fromkeys(s.part_of or str(s.name) for s in plan.scene.strokes)) for plan in plans]
+    done = list(chain(*each))
     if len(strokes) == 1 and plans:
         # That of a path without strokes has the name of the scene.
-        strokes = dict.fromkeys([str(plan.scene.strokes[0].name) for plan in plans[:1]], asked.strokes[0])
-    done = [stroke.part_of or str(stroke.name) for plan in plans for stroke in plan.scene.strokes]
+        strokes = dict.fromkeys(done[:1], asked.strokes[0])
     if sorted(done) != sorted(strokes):
         got, expected = (", ".join(names) or "none" for names in (done, strokes))
         raise ArchiveError(str(source), "parts", got, f"each stroke once, as asked: {expected}")
+    if isinstance(parts[-1].motion, Walk) and not leads_on:
+        raise ArchiveError(str(source), "parts", parts[-1].name, "work at last, or --to and where it leads")
     others = list[str]()
-    for plan in plans:
-        files = [strokes[str(stroke.name)].changed(name=stroke.name) for stroke in plan.scene.strokes]
+    names = list(strokes)
+    if asked.order != "best" and done != names:
+        got = f"tool_path.order: {', '.join(done)}"
+        if any(some != sorted(some, key=names.index) for some in _in_one_stance(parts, each)):
+            raise ArchiveError(str(source), "parts", got, f"the order that is asked: {', '.join(names)}")
+        others.append(f"{got} (asked {', '.join(names)}: of stances along the guardrail)")
+    for plan, some in zip(plans, each, strict=True):
+        files = [strokes[name].changed(name=name) for name in some]
         wanted = plan.scene.with_strokes(files, asked.order)
         require_asked(plan.scene, wanted, str(source), plan.options)
         others += more_via_points(plan.scene, wanted)
     return tuple(others)
+
+
+def _in_one_stance(parts: Sequence[TourPart], strokes: Sequence[list[str]]) -> Iterator[list[str]]:
+    """Yield the strokes that a tour does in each of its stances; `strokes` are those of each plan."""
+    each = iter(strokes)
+    for is_work, some in groupby(parts, key=lambda part: isinstance(part.motion, Plan)):
+        if is_work:
+            yield list(chain(*(next(each) for _ in some)))
 
 
 def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdict]:
