@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from command_line import output, refusal, write_scene
 from plan_folders import edit, promise
 from small_scenes import SHORT, short_scene, strokes_scene
-from walks import one_step, tour_record
+from walks import CLAMP, COUNTERWEIGHT_DEG, feet, one_step, tour_record
 
 from cmbot.archive import TOUR_FILE, WALK_FILE, load_tour, save, write_results
 from cmbot.common.errors import ArchiveError
@@ -187,6 +188,19 @@ def test_strokes_of_a_stance_are_done_in_the_order_that_is_asked(tmp_path: Path)
     other = write_scene(tmp_path / "other.yaml", data)
     refused = refusal("verify", folder, "--scene", other)
     assert "parts: got tool_path.order: there, back, expected the order that is asked: back, there" in refused
+
+
+def test_no_walk_leads_on_after_the_work_without_a_goal(tmp_path: Path) -> None:
+    walk = replace(one_step(), scene=one_step().scene.with_values({"return": "start"}))
+    path = {"legs": [{"by": [0, 0, 0.05], "seconds": 4}], "keep": "position"}
+    guardrail = {"hold": CLAMP, "stance": feet(4.04, 4.44)}
+    posture = list(COUNTERWEIGHT_DEG)
+    scene = in_world(short_scene(posture_deg=posture, tool_path=path, guardrail=guardrail, **RETURNS))
+    folder = write_tour(tmp_path / "tour", work_1=plan(scene), walk_1=walk)
+    asked = write_scene(tmp_path / "asked.yaml", scene.as_data())
+    assert "parts: got walk_1, expected work at last, or --to and where" in refusal(
+        "verify", folder, "--scene", asked, "--speed", "0.03"
+    )
 
 
 def test_parts_are_on_one_bridge(work: Plan, tmp_path: Path) -> None:
