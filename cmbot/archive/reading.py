@@ -402,8 +402,9 @@ def _verified(plan: Plan, clearances: Clearances, data: dict[str, Any], source: 
         entry["certificate"] = stored["certificate"]
     require_same(data, expected, source, "", _SAME, _SAME_ZERO)
     require_same(_drawn(data), _drawn(record), source, "", _SINGLE_PRECISION_TOLERANCE, _SAME_ZERO)
-    require_same(_bounds(data), bounds, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
-    for k, (segment, stored) in enumerate(zip(segments, _bounds(data), strict=True)):
+    told = _bounds(data)
+    require_same(told, bounds, source, "segments", _BOUND_SHARE, _CLEARANCE_BOUND_M)
+    for k, (segment, stored) in enumerate(zip(segments, told, strict=True)):
         _require_bounds(segment, stored, source, f"segments[{k}].certificate")
     seconds = [
         replace(segment, certificate=replace(certificate, checks=(*certificate.checks, *checks)))

@@ -31,6 +31,7 @@ from cmbot.planning.workcell.workcell import (
     identified_in_words,
     rigid_parts_remark,
     robot_of,
+    standing_point,
     stiffness_point,
 )
 from cmbot.robot import Dynamics, Finding, Kinematics, Robot
@@ -154,7 +155,7 @@ def _point(place: FloatArray) -> str:
 
 def _place(at: Sequence[float], scene: Scene, robot: Robot) -> str:
     """Where a point (3,), m, is from what the base holds, in words."""
-    by = np.array(at) - (robot.foot_point if scene.on_guardrail else robot.base_pose.translation)
+    by = np.array(at) - standing_point(scene, robot)
     away, held = float(np.linalg.norm(by)), "the foot" if scene.on_guardrail else robot.base_frame
     if away <= _SAME_PLACE_M:
         return f"at {held}"
@@ -274,13 +275,15 @@ def _sag_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     arm = bending_arm(scene, robot)
     if arm is None:
         return
-    sag, (key, expected) = _sag_of(arm, scene.posture), _softest(scene, robot)
-    if sag is None:
-        yield _warning(key, f"so soft a base or arm that the arm topples in {scene.posture_key}", expected)
-        return
-    yield "sag of the tool there", f"{1e3 * sag:.2f} mm"
-    if sag > _MUCH_SAG_M:
-        yield _warning(key, f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}", expected)
+    sag = _sag_of(arm, scene.posture)
+    got = f"so soft a base or arm that the arm topples in {scene.posture_key}"
+    if sag is not None:
+        yield "sag of the tool there", f"{1e3 * sag:.2f} mm"
+        if sag <= _MUCH_SAG_M:
+            return
+        got = f"a tool that sags {1e3 * sag:.0f} mm in {scene.posture_key}"
+    key, expected = _softest(scene, robot)
+    yield _warning(key, got, expected)
 
 
 def _sag_of(arm: ElasticArm, posture: FloatArray) -> float | None:

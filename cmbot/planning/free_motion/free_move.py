@@ -247,7 +247,9 @@ def _least(
     Near an earlier plan that is its move, joined to the ends as they are now.
     """
     near = _near(request, space, move)
-    found = [near] if near is not None and given is None else _ways(request, space, move, given)
+    if near is not None and given is None:
+        return near
+    found = _ways(request, space, move, given)
     for path in found:
         if space.peak(path) <= allowed:
             return path

@@ -381,7 +381,7 @@ def robot_of(scene: Scene) -> Robot:
 
 def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
     """Refuse a tube that ends beside the arm's base frame and first joint, as where `end_m` was left out."""
-    tube, held, mount = scene.base and scene.base.tube, _base_point(scene, robot), scene.robot.mount
+    tube, held, mount = scene.base and scene.base.tube, standing_point(scene, robot), scene.robot.mount
     if not tube or min(math.dist(tube.end_m, point) for point in (held, robot.base_point)) <= _MOST_BESIDE_M:
         return
     end, length = _numbers(tube.end_m), math.dist(tube.start_m, held)
@@ -402,18 +402,18 @@ def _require_on_its_tube(scene: Scene, robot: Robot) -> None:
 
 def held_point(scene: Scene, robot: Robot) -> Sequence[float]:
     """Return where the base holds the robot, m, in W: a tube's end, the foot, or the arm's base frame."""
-    return _tube_end(scene) or _base_point(scene, robot)
+    return _tube_end(scene) or standing_point(scene, robot)
 
 
-def _base_point(scene: Scene, robot: Robot) -> Sequence[float]:
-    """The foot of a climber, or the origin of the arm's base frame, m, in W."""
+def standing_point(scene: Scene, robot: Robot) -> Sequence[float]:
+    """Return the foot of a climber, or the origin of the arm's base frame, m, in W."""
     frame: list[float] = robot.base_pose.translation.tolist()
     return robot.foot_point if scene.on_guardrail else frame
 
 
 def _beside_stiffness(scene: Scene, robot: Robot) -> tuple[float, str]:
     """How far from the arm a base's stiffness acts, m, zero without one, and from which place, in words."""
-    at, held, joint = stiffness_point(scene), _base_point(scene, robot), robot.base_point.tolist()
+    at, held, joint = stiffness_point(scene), standing_point(scene, robot), robot.base_point.tolist()
     places = [("the arm's base", held), ("the arm's first joint", joint)]
     # A column that lifts an arm may end at its first joint; where that turns, a mount says where the arm is.
     if scene.robot.mount and _tube_end(scene) and not robot.limits.prismatic[0]:
