@@ -130,9 +130,8 @@ def _advised(scene: Scene) -> Iterator[None]:
         yield
     except PathNotFound as error:
         for found in without_posture(scene) if error.key else ():
-            hint = found.expected.partition(": ")[2]
-            if found.key == error.key and hint and hint not in error.hints:
-                error.add_hint(hint)
+            if found.key == error.key and found.remedy and found.remedy not in error.hints:
+                error.add_hint(found.remedy)
         raise
 
 

@@ -130,13 +130,14 @@ def without_posture(scene: Scene) -> Iterator[Finding]:
             )
             remedy = leaning(scene, at) or lighter(scene, at) or firmer(scene, at)
             remedy = remedy or ("" if left_out else miss.remedy())
-            expected = "; ".join(filter(None, (left_out, remedy)))
+            remedy = "; ".join(filter(None, (left_out, remedy)))
             is_refused = not some or (not is_cut and (number > 0 or not miss.missed.is_held))
             yield Finding(
                 severity="error" if is_refused else "warning",
                 key=miss.key,
                 got=f"a path that is {miss.reason()}",
-                expected=": ".join(filter(None, (wanted or "a path within reach", expected))),
+                expected=": ".join(filter(None, (wanted or "a path within reach", remedy))),
+                remedy=remedy,
             )
 
 

@@ -82,12 +82,15 @@ class Finding:
         ``error``: it cannot be used. ``warning``: it can, but is questionable.
     key, got, expected : str
         The place in the file, the value there, the value required.
+    remedy : str
+        What would do, as `expected` says at its end; empty where that is not known.
     """
 
     severity: Literal["error", "warning"]
     key: str
     got: str
     expected: str
+    remedy: str = ""
 
 
 def inspect_urdf(root: ElementTree.Element, moving: Collection[str] | None = None) -> list[Finding]:

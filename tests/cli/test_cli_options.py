@@ -213,7 +213,7 @@ def test_json_of_a_check(urdf_folder: Path) -> None:
     out = output("check", path, "--json", status=2)
     data = json.loads(out)
     assert (data["usable"], data["found"]) == (False, {})
-    assert {"severity", "key", "got", "expected"} == set(data["findings"][0])
+    assert {"severity", "key", "got", "expected", "remedy"} == set(data["findings"][0])
     assert data["findings"][0]["severity"] == "error"
     quiet = run("check", path, "--quiet")
     assert quiet.status == 2
