@@ -18,8 +18,6 @@ from cmbot.scene import Scene, changed_content, is_within, scene_from_data, scen
 
 _MAX_TABLE_BYTES = 100_000_000
 _MAX_ENTRIES = 1_000_000
-# Columns of a table that are no keys of a scene.
-_OWN_COLUMNS = ("name", "at_m", "scene")
 
 _Text = Annotated[str, Field(min_length=1, max_length=1000)]
 _Values = dict[_Text, Any]

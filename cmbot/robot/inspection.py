@@ -103,8 +103,7 @@ def inspect_urdf(root: ElementTree.Element, moving: Collection[str] | None = Non
     moving : collection of str, optional
         The links that the arm's joints move; impossible inertias of others are no errors. Left out: all.
     """
-    findings = [*_sizes(root)]
-    if findings:
+    if findings := [*_sizes(root)]:
         return findings
     findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root)]
     for link in root.findall("link"):

@@ -68,15 +68,11 @@ def in_shortest_time(
     budget.used += half.used
     if not isinstance(slow.outcome, Solved):
         return Trial(attempt=slow.attempt, outcome=slow.outcome, parent=slow.parent, remedy=slow.remedy)
-    trajectory = slow.outcome.result.trajectory
-    rough = _roughly_timed(slow.attempt, trajectory)
-    timed = (
-        slow.attempt.in_timing(_timing(slow.attempt, trajectory, rough))
-        if isinstance(rough, tuple)
-        else rough
-    )
+    attempt, trajectory = slow.attempt, slow.outcome.result.trajectory
+    rough = _roughly_timed(attempt, trajectory)
+    timed = attempt.in_timing(_timing(attempt, trajectory, rough)) if isinstance(rough, tuple) else rough
     if not isinstance(timed, Attempt):
-        return Trial(attempt=slow.attempt, outcome=timed, parent=slow)
+        return Trial(attempt=attempt, outcome=timed, parent=slow)
     remedies = (*REMEDIES, STRETCHED_LAWS, FEWER_STRETCHED_LEGS, FASTER_ROUND, better)
     agenda = agenda_of(first.request, work, remedies, budget, is_better(first.request))
     return agenda.search(replace(timed, is_first=False), slow)
