@@ -144,15 +144,15 @@ def _roughly_timed(before: Attempt, trajectory: QuinticTrajectory) -> tuple[Roug
     request.reporter.stage("path")
     request.reporter.step("seeking the shortest time within the limits")
     legs = sorted(request.task.path.open_legs) or [law.leg for law in request.stroke.file.time_laws or ()]
-    known = () if before.timing is None else before.timing.rough
-    return attempted(request, lambda: rough_laws(request, leg_paths(request, legs, trajectory), known))
+    return attempted(request, lambda: rough_laws(request, leg_paths(request, legs, trajectory)))
 
 
 def _timing(before: Attempt, trajectory: QuinticTrajectory, rough: Sequence[RoughLaw]) -> Timing:
     """The shortest time along the joint path of a motion, by laws sought from rough ones."""
     request = before.request
     shortest = shortest_laws_of(rough, request.stroke.file.time_laws or ())
-    timing = Timing.along(request, trajectory, rough, shortest)
+    timing = Timing.along(request, trajectory, [law.path for law in rough], shortest)
+    timing = replace(timing, rough=_seconds(rough))
     if request.cell.arm is None:
         return timing
     pairs = zip(rough, shortest, strict=True)
@@ -212,7 +212,7 @@ def _faster_round(trial: Trial[Attempt, StrokeMotion]) -> Iterator[Attempt]:
     trajectory = solved.result.work.trajectory
     rough = _roughly_timed(trial.attempt, trajectory)
     # Rough laws cost little, and tell by which share others are shorter.
-    if not isinstance(rough, tuple) or _seconds(rough) / _seconds(timing.rough) > known / timing.seconds:
+    if not isinstance(rough, tuple) or _seconds(rough) / timing.rough > known / timing.seconds:
         return
     shorter = _timing(trial.attempt, trajectory, rough)
     # A little longer than the shortest is shorter than before; where that was needed, it is again.

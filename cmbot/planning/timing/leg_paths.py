@@ -153,12 +153,8 @@ def bounds_along(
     return bounded
 
 
-def rough_laws(
-    request: StrokeRequest, paths: Sequence[LegPath], before: Sequence[RoughLaw] = ()
-) -> tuple[RoughLaw, ...]:
+def rough_laws(request: StrokeRequest, paths: Sequence[LegPath]) -> tuple[RoughLaw, ...]:
     """Return laws of few phases along joint paths within a request's limits, in which others are sought.
-
-    They are sought from those `before`, along other joint paths of the same legs, if there are any.
 
     Raises
     ------
@@ -166,15 +162,13 @@ def rough_laws(
         Where the arm asks more of the base, or of a joint, at rest than it may.
     """
     task, rough, fine = request.task, list[LawSearch](), list[LawSearch]()
-    starts = {law.path.leg: law.search.known for law in before}
     max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
     for each in paths:
         finer = max(min(_PHASES, _MOST_PHASES // each.segments), _FEWEST_PHASES // each.segments)
         phases = each.segments * finer or each.segments // -(-each.segments // _MOST_PHASES)
         bounded = bounds_along(request.cell.robot, each.q, max_speed, task.max_base_torque)
         fine.append(LawSearch(bounded=bounded, phases=phases))
-        fewer = phases // 2 if phases >= 2 * each.segments else phases
-        rough.append(replace(fine[-1], phases=fewer, known=starts.get(each.leg, ())))
+        rough.append(replace(fine[-1], phases=phases // 2 if phases >= 2 * each.segments else phases))
     found = list[RoughLaw]()
     for each, search, (jerk, seconds) in zip(paths, fine, shortest_laws(rough), strict=True):
         if not np.isfinite(seconds):

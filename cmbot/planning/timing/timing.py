@@ -19,7 +19,7 @@ _SHORT_LEG_PERIODS, _VIA_POINTS_PER_PERIOD, _MOST_FOR_PERIODS = 6.0, 4, 100
 
 if TYPE_CHECKING:
     # It loads SciPy's splines, which only times that are sought need.
-    from cmbot.planning.timing.leg_paths import RoughLaw
+    from cmbot.planning.timing.leg_paths import LegPath
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +31,8 @@ class Timing:
     request : StrokeRequest
         In which `trajectory` was planned.
     trajectory : QuinticTrajectory
-    rough : sequence of RoughLaw
-        Along the paths of the L legs whose time is sought: by these, paths compare.
+    paths : sequence of LegPath
+        Of the L legs whose time is sought.
     laws : tuple of LegLaw
         The shortest along them.
     factors : (L,)
@@ -41,31 +41,34 @@ class Timing:
         Legs on which motions in less time failed.
     reason : str
         Why the first of these failed.
+    rough : float
+        What laws of fewer phases take along the paths, s: by that paths compare.
     both : two floats, optional
         Of times that are sought: the shortest within the limits, and the shortest that is quiet, s.
     """
 
     request: StrokeRequest
     trajectory: QuinticTrajectory
-    rough: Sequence[RoughLaw]
+    paths: Sequence[LegPath]
     laws: tuple[LegLaw, ...]
     factors: FloatArray
     at_fault: BoolArray
     reason: str = ""
+    rough: float = np.inf
     both: tuple[float, float] | None = None
 
     @staticmethod
     def along(
         request: StrokeRequest,
         trajectory: QuinticTrajectory,
-        rough: Sequence[RoughLaw],
+        paths: Sequence[LegPath],
         laws: tuple[LegLaw, ...],
     ) -> Timing:
-        """Return laws as they are, along a trajectory's joint path, or the paths of `rough` on their legs."""
+        """Return laws as they are, along a trajectory's joint path; `paths` stand for it on their legs."""
         return Timing(
             request=request,
             trajectory=trajectory,
-            rough=rough,
+            paths=paths,
             laws=laws,
             factors=np.ones(len(laws)),
             at_fault=np.zeros(len(laws), dtype=np.bool_),
@@ -90,7 +93,7 @@ class Timing:
         """Postures (k, n) of the joint path at the via-points of a request in another time."""
         leg, share = timed.task.path.leg_shares(timed.times)
         q = self.trajectory.evaluate(self.request.task.path.times_at(leg, share))
-        for path in (law.path for law in self.rough):
+        for path in self.paths:
             q[leg == path.leg] = path.q(share[leg == path.leg])
         # The arm starts where it did.
         q[0] = self.trajectory.q[0]

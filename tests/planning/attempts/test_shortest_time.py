@@ -32,7 +32,7 @@ from cmbot.planning.timing.law_search import (
     LawSearch,
     shortest_laws,
 )
-from cmbot.planning.timing.leg_paths import bounds_along, leg_paths, rough_laws
+from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
 from cmbot.planning.timing.timing import Timing, in_time
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics, Robot
@@ -344,7 +344,7 @@ def test_only_the_legs_on_which_motions_fail_are_stretched_if_that_is_worth_it(
     timing = Timing(
         request=asked,
         trajectory=trajectory,
-        rough=rough_laws(asked, leg_paths(asked, [0, 1], trajectory)),
+        paths=leg_paths(asked, [0, 1], trajectory),
         laws=laws,
         factors=np.ones(2),
         at_fault=np.zeros(2, dtype=np.bool_),
