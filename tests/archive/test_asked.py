@@ -754,24 +754,22 @@ def test_what_is_computed_again(short_folder: Path, key: str) -> None:
     assert "as computed again" in refusal("verify", short_folder)
 
 
-@pytest.mark.parametrize("bound", ["clearance_bound", "guardrail_torque_bound"])
-def test_bounds_for_all_times_are_not_broken_by_the_motion(short_folder: Path, bound: str) -> None:
-    """By less than two enclosures of it may differ."""
-    figure, share = {
-        "clearance_bound": ("min_clearance", 1 + 1e-4),
-        "guardrail_torque_bound": ("peak_guardrail_torque", 1 - 1e-4),
-    }[bound]
+@pytest.mark.parametrize("name", ["clearance_bound", "guardrail_torque_bound", "value", "bound"])
+def test_what_a_certificate_says_is_computed_again_to_rounding(short_folder: Path, name: str) -> None:
+    """By a hundredth of a percent the arm is made a little better than it is, wherever that is told."""
+    quantity = "velocity"
 
     def change(data: Any) -> None:
-        for entry, certificate in ((data["planned"], data["certificate"]), *map(parts, data["segments"])):
-            certificate[bound] = share * entry[figure]
-
-    def parts(segment: Any) -> tuple[Any, Any]:
-        return segment, segment["certificate"]
+        for entry in (data["certificate"], *(segment["certificate"] for segment in data["segments"])):
+            checks = [check for check in entry["checks"] if check["quantity"].startswith(quantity)]
+            assert checks
+            for each in checks if name in checks[0] else [entry]:
+                each[name] *= 1 + 1e-4 * (1 if name in ("clearance_bound", "bound") else -1)
 
     edit(short_folder, change)
-    assert f"certificate.{bound}: got " in (told := refusal("verify", short_folder))
-    assert "the motion's own" in told
+    told = refusal("verify", short_folder)
+    assert f".{name}: got " in told
+    assert "as computed again" in told
 
 
 @pytest.mark.parametrize("key", ["torque_floor", "gap_to_floor", "torque_floor_error", "floor.value"])
