@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -184,6 +184,10 @@ class QuinticTrajectory(ShortRepr):
         t = np.concatenate([[begin] * before, self.t, [end] * after])
         q, v, a = (np.pad(x, ((before, after), (0, 0)), "edge") for x in (self.q, self.v, self.a))
         return QuinticTrajectory(t=t, q=q, v=v, a=a)
+
+    def begun_at(self, q: FloatArray) -> QuinticTrajectory:
+        """Return the motion moved as a whole so that it begins at `q` (n,), rad, exactly."""
+        return replace(self, q=np.vstack([q, self.q[1:] + (q - self.q[0])]))
 
     @property
     def duration(self) -> float:

@@ -6,13 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import output, refusal
 from forgeries import FORGERIES, Forgery, forge
 from plan_folders import edit
+from small_scenes import panda_scene
 from walks import one_step
 
-from cmbot.archive import WALK_FILE, write_results
+from cmbot import load_plan, plan
+from cmbot.archive import WALK_FILE, save, write_results
 from cmbot.collision import Clearances
 from cmbot.planning.verification import engine, second_opinion
 from cmbot.robot import Dynamics, Kinematics
@@ -38,6 +41,24 @@ def test_what_was_written_holds(kind: str, request: pytest.FixtureRequest) -> No
     told = output("verify", folder, "--engine", "mujoco")
     assert "The second engine, mujoco, was asked." in told
     assert output("verify", folder, "--quiet") == ""
+
+
+def test_a_stroke_follows_on_a_pause_without_a_jump(tmp_path: Path) -> None:
+    """Whose end, put onto the path anew, is a few digits off: a file has one knot there."""
+    down: dict[str, Any] = {"keep": "axis", "via_points": 12}
+    begin = {"xyz": [0.5, -0.1, 0.4], "rpy_deg": [180, 0, 0]}
+    first = {
+        **down,
+        "name": "first",
+        "from": begin,
+        "legs": [{"by": [0, 0.1, 0], "seconds": 2}, {"pause": 1}],
+    }
+    then = {**down, "name": "then", "legs": [{"by": [0.08, 0, 0], "seconds": 2}]}
+    asked = {"planner": {"baseline": "none"}, "tool": {"process_force_n": [0, 0, -20]}}
+    made = plan(panda_scene({"strokes": [first, then]}, **asked), progress=False)
+    one, other = (segment.trajectory for segment in made.job.strokes)
+    np.testing.assert_array_equal(other.q[0], one.q[-1])
+    load_plan(save(made, tmp_path / "plan"), verify=True, scene=made.scene)
 
 
 @pytest.mark.parametrize("forgery", FORGERIES, ids=str)

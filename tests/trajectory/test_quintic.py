@@ -75,6 +75,15 @@ def test_even_samples_are_the_states_there(x: QuinticTrajectory, samples: int) -
         np.testing.assert_allclose(got, states, rtol=0, atol=1e-12 * magnitude(x, order))
 
 
+@given(trajectories, st.integers(0, 2**32 - 1))
+def test_a_motion_moved_to_a_posture_begins_there_exactly(x: QuinticTrajectory, seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(-3.0, 3.0, x.q.shape[1])
+    moved = x.begun_at(q)
+    np.testing.assert_array_equal(moved.q[0], q)
+    np.testing.assert_allclose(moved.q - x.q, np.tile(q - x.q[0], (len(x.t), 1)), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal([moved.v, moved.a], [x.v, x.a])
+
+
 @given(trajectories)
 def test_the_knots_are_reproduced(x: QuinticTrajectory) -> None:
     for order, (got, knots) in enumerate(zip(x.states(x.t), (x.q, x.v, x.a), strict=True)):

@@ -80,12 +80,15 @@ def certified_motion(attempt: Attempt) -> Solved[StrokeMotion] | Failure:
         posture = optimised.trajectory.q[0]
         moved = _moved(request, posture)
         start = request.state.posture if moved <= SAME_POSTURE else None
+        if start is not None:
+            # It follows on what was before without a jump: a file has one knot there.
+            optimised = replace(optimised, trajectory=optimised.trajectory.begun_at(start))
         certificate = _certified(request, optimised, start)
         if not isinstance(certificate, Certificate):
             return certificate
         approach: Segment | None = None
-        if moved <= SAME_POSTURE:
-            posture, moved = request.state.posture, 0.0
+        if start is not None:
+            posture, moved = start, 0.0
         else:
             approach = _approach(request, guess, optimised.trajectory)
         work = Segment(
