@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -84,6 +85,11 @@ class NewCommand(Writing):
         least=_LEAST_MASS_KG,
         most=_MOST_MASS_KG,
     )
+    near: tuple[str, ...] = option(
+        (),
+        "About where a joint is at the start, rad or m, such as elbow_joint=-1.5; repeatable.",
+        metavar="NAME=VALUE",
+    )
     output: Path | None = option(None, "Scene file to write; NAME.yaml if left out.", "--output", "-o")
 
     def __call__(self) -> None:
@@ -96,7 +102,7 @@ class NewCommand(Writing):
         asked = self._asked(source)
         robot = _loaded(asked)
         require_new(path, self.force)
-        made = _composed(robot, asked, tool_at, self.rpy_deg, path)
+        made = _composed(robot, asked, partial(self._start, tool_at), path)
 
         # The scene last: it names the others.
         *others, scene_file = sorted(made.files, key=lambda file: file == path)
@@ -110,6 +116,19 @@ class NewCommand(Writing):
             lambda: {"files": [str(file) for file in written], "remarks": remarks},
             lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED_ROBOT),
         )
+
+    def _start(self, tool_at: Numbers, robot: Robot) -> StartPosture:
+        """The start posture of a robot, its tool at a point, that the options describe."""
+        import numpy as np
+
+        from cmbot.common.poses import pose
+
+        rpy, near = self.rpy_deg, _positions(self.near, "--near", "elbow_joint=-1.5")
+        if unknown := near.keys() - set(robot.joints):
+            raise InputError("--near", "", ", ".join(sorted(unknown)), f"of {', '.join(robot.joints)}")
+        turned = None if rpy is None else np.array(pose((0, 0, 0), np.radians(rpy)))[:3, :3]
+        obstacles = _obstacles(str(self.source))
+        return cmbot.planning.find_start(robot, obstacles, np.array(tool_at), turned, near)
 
     def _require_applicable(self, source: str) -> None:
         """Refuse options that the shipped robot does not need, and folders that are not there."""
@@ -140,7 +159,7 @@ class NewCommand(Writing):
             tool_frame=tool_frame,
             package_dirs=self.package_dir,
             xacro=named_values(self.xacro),
-            locked=_positions(self.locked),
+            locked=_positions(self.locked, "--locked", "lift_joint=0.3"),
             total_mass=self.total_mass,
             tool=tool,
         )
@@ -173,21 +192,15 @@ class _Made:
     files: Mapping[Path, str]
 
 
-def _composed(robot: Robot, asked: NewRobot, tool_at: Numbers, rpy_deg: Numbers | None, path: Path) -> _Made:
+def _composed(robot: Robot, asked: NewRobot, start_of: Callable[[Robot], StartPosture], path: Path) -> _Made:
     """What is written: the scene, joint limits where the robot has none, an SRDF where its own blocks it."""
     import numpy as np
 
-    from cmbot.common.poses import pose
-
     shipped = asked.source == _SHIPPED_ROBOT
-
-    def start_of(robot: Robot) -> StartPosture:
-        return cmbot.planning.find_start(robot, _obstacles(asked.source), np.array(tool_at), orientation)
 
     def usual(start: StartPosture) -> bool:
         return start.safety_margin == cmbot.PlannerOptions().safety_margin_m
 
-    orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start, srdf, files = start_of(robot), path.with_suffix(".srdf"), dict[Path, str]()
     remarks: tuple[str, ...] = ()
     if not shipped and not usual(start):
@@ -259,12 +272,12 @@ def named_values(given: Sequence[str], option: str = "--xacro", example: str = "
     return arguments
 
 
-def _positions(given: Sequence[str]) -> dict[str, float]:
-    named = named_values(given, "--locked", "lift_joint=0.3")
+def _positions(given: Sequence[str], option: str, example: str) -> dict[str, float]:
+    named = named_values(given, option, example)
     try:
         return {name: float(value) for name, value in named.items()}
     except ValueError as error:
-        raise InputError("--locked", "", " ".join(given), "NAME=NUMBER, in rad or m") from error
+        raise InputError(option, "", " ".join(given), "NAME=NUMBER, in rad or m") from error
 
 
 def _named_as_option(error: ModelError) -> InputError:

@@ -270,11 +270,30 @@ def test_an_srdf_is_written_once(here: Path) -> None:
     [
         (("--tool-at", "1", "2", "3"), "--from: got nothing, expected --from URDF"),
         (("--from", "panda"), "--tool-at: got nothing"),
+        (
+            ("--from", "ur10", "--tool-at", "0.6", "0.1", "0.5", "--near", "elbow=1"),
+            "--near: got elbow, expected of shoulder_pan_joint, ",
+        ),
+        (
+            ("--from", "ur10", "--tool-at", "0.6", "0.1", "0.5", "--near", "elbow_joint=up"),
+            "--near: got elbow_joint=up, expected NAME=NUMBER, in rad or m",
+        ),
     ],
 )
 def test_a_new_scene_is_of_a_robot_at_a_place(here: Path, words: tuple[str, ...], said: str) -> None:
     assert said in refusal("new", *words)
     assert not list(here.iterdir())
+
+
+@pytest.mark.parametrize("elbow", [-1.5, 1.5])
+def test_the_elbow_is_chosen(here: Path, elbow: float) -> None:
+    """There is a posture with the same angle on either side."""
+    words = ("--from", "ur10", "--tool-at", "0.6", "0.1", "0.5", "--rpy-deg", "180", "0", "0")
+    output("new", *words, "--near", f"elbow_joint={elbow}", "-o", "arm.yaml")
+    scene = cmbot.load_scene("arm.yaml")
+    assert abs(scene.posture[2] - elbow) < 0.5
+    X = Kinematics(robot_of(scene)).tool_pose(scene.posture)
+    np.testing.assert_allclose(X.translation, [0.6, 0.1, 0.5], rtol=0, atol=1e-4)
 
 
 def test_the_start_is_sought_where_a_lift_is_locked(here: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
@@ -67,11 +67,12 @@ def find_start(
     obstacles: Sequence[Obstacle],
     point: FloatArray,
     orientation: FloatArray | None = None,
+    near: Mapping[str, float] | None = None,
 ) -> StartPosture:
     """Find a posture that holds the tool, and a short leg that the arm can follow from it.
 
-    It is within the joints' ranges, clear and strong enough; of those found the one furthest from
-    singularities and the ends of the ranges. The same arguments give the same posture.
+    It is within the joints' ranges, clear and strong enough; of those found the one nearest to what is asked
+    for, or furthest from singularities and the ends of the ranges. The same arguments give the same posture.
 
     Parameters
     ----------
@@ -81,6 +82,8 @@ def find_start(
         The tool point in W.
     orientation : (3, 3), optional
         R_WT; left out: any.
+    near : mapping, optional
+        Where some of its joints are to be about, rad or m.
 
     Raises
     ------
@@ -93,7 +96,7 @@ def find_start(
         raise InputError(
             str(robot.urdf), "joints", robot.dof, "an arm of at least 3 joints, to hold a tool point"
         )
-    search = _Search(robot, obstacles)
+    search = _Search(robot, obstacles, near or {})
     held: Literal["pose", "axis", "position"] = "position" if orientation is None else search.keep
     task = _task(point, np.eye(3) if orientation is None else orientation, held)
     q = search.postures(task)
@@ -122,8 +125,8 @@ def _task(point: FloatArray, orientation: FloatArray, keep: Literal["pose", "axi
 class _Search:
     """What postures of one robot among obstacles are good for."""
 
-    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
-        self._robot, self._limits = robot, robot.limits
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle], near: Mapping[str, float]) -> None:
+        self._robot, self._limits, self._near = robot, robot.limits, near
         self._cell = Workcell.of(robot, obstacles, PlannerOptions())
         self._batch, self._clearances = self._cell.postures, self._cell.clearances
         # What is kept of the tool: less of it where an arm cannot, such as one whose last two axes are one.
@@ -138,7 +141,7 @@ class _Search:
         return q[reached & self._within(q)]
 
     def best(self, q: FloatArray, margin: float) -> Iterator[FloatArray]:
-        """The postures that are clear and strong enough, the one furthest from all limits first."""
+        """The postures that are clear and strong enough, the nearest, or furthest from all limits, first."""
         q = q[self._strong(q)]
         q = q[self._clearances.query(q).distance >= margin + _CLEARANCE_LEFT]
         # Without a range there is all the room.
@@ -148,6 +151,9 @@ class _Search:
         score = np.array(
             [value * each.min() for value, each in zip(values, 1.0 - (1.0 - room) ** 2, strict=True)]
         )
+        if self._near:
+            asked = [self._robot.joints.index(name) for name in self._near]
+            score = -np.linalg.norm(q[:, asked] - list(self._near.values()), axis=1)
         for k in np.argsort(-score)[:_TRIED]:
             if values[k] > _MIN_VALUE:
                 slides = self._limits.prismatic.any()
