@@ -31,6 +31,9 @@ DenseSolver = Callable[[NlpEvaluation, float, int], tuple[NlpEvaluation, int]]
 _SMALL_RATIO = 2.0
 # A motion near an earlier one may have a peak above its own by this factor.
 _NEAR_PEAK = 1.05
+# Steps with large penalties may creep along a curved constraint, five times as long as is needed. After so
+# many the splines are built around the last motion and penalties fall: a longer step leads out of there.
+_NEAR_ITERATIONS, _NEAR_PASSES = 10, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,7 +233,9 @@ def meet_constraints(
 
     Its peak is at most 5 % above the start's. Parameters and errors are those of `minimize_peak`.
     """
-    options = replace(options, sqp=replace(options.sqp, feasible_only=True))
+    iterations = min(options.sqp.max_iterations, _NEAR_ITERATIONS)
+    sqp = replace(options.sqp, feasible_only=True, max_iterations=iterations)
+    options = replace(options, sqp=sqp, max_passes=min(options.max_passes, _NEAR_PASSES))
     exchange = _Exchange(program, options, progress)
     found = exchange.separated(np.inf)
     bound = _NEAR_PEAK * found.peak
