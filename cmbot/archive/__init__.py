@@ -41,6 +41,7 @@ if TYPE_CHECKING:
         tracking_json as tracking_json,
     )
     from cmbot.archive.ros import (
+        enough_points as enough_points,
         export_mcap as export_mcap,
         export_ros as export_ros,
         export_ros_package as export_ros_package,

@@ -228,6 +228,8 @@ class ExportCommand(Writing):
         message: RosTrajectory | None = None if self.ros is None else written[self.ros]
         if message is not None and message.left_out:
             err.print(_without(self.ros, message, loaded))  # there, as no -q may lose it
+        if message is not None and not message.follows(loaded):
+            err.print(_off(self.ros, message, loaded))
         if locked := dict(loaded.scene.robot.locked or ()):
             places = ", ".join(f"{name} at {value:g}" for name, value in locked.items())
             err.print(f"Not moved, to be there first (rad or m, robot.locked): {one_line(places)}.")
@@ -269,6 +271,14 @@ def _print_exported(written: Mapping[Path, object], message: RosTrajectory | Non
     if any(file.is_file() for file in written):
         start = cmbot.scene.start_entry(plan.job.trajectory.q[0], plan.robot.limits)
         out.print(f"The arm has to be at {start} before: the way there is not planned.")
+
+
+def _off(file: Path | None, message: RosTrajectory, plan: cmbot.Plan) -> str:
+    """Say how far off the plan a message of few points is, and how many would do."""
+    off = f"the tool {1e3 * message.tool_deviation:.2g} mm and joints {message.deviation:.1e} rad (or m)"
+    enough = cmbot.archive.enough_points(plan, message.points)
+    told = f"leads {off} off the plan, more than cmbot verify takes: --max-points {enough} does not."
+    return f"Warning: {one_line(file)} {told}"
 
 
 def _without(file: Path | None, message: RosTrajectory, plan: cmbot.Plan) -> str:

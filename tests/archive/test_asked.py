@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import output, refusal, write_scene
+from command_line import output, refusal, run, write_scene
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from plan_folders import changed, edit, promise, rewrite, seal, without_approach
@@ -320,6 +320,13 @@ def test_a_message_of_few_points_keeps_the_tool_on_its_path(short_plan: Plan, tm
     assert message.deviation < 1e-3
     with pytest.raises(ArchiveError, match=r"lead the tool [\d.]+ mm off, expected 0\.2 mm at most"):
         load_plan(folder, verify=True)
+    words = ("export", folder, "--ros", few, "--force", "--max-points")
+    told = run(*words, str(most)).err
+    assert told.startswith(f"Warning: {few} leads the tool ")
+    enough = told.split("--max-points ")[1].split()[0]
+    assert most < int(enough) <= knots + 1
+    assert run(*words, enough).err == ""
+    load_plan(folder, verify=True)
     assert export_ros(short_plan, few, max_points=knots).tool_deviation < 1e-6
     load_plan(folder, verify=True)
 

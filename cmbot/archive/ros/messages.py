@@ -35,6 +35,11 @@ _NANO = 1e-9
 _AT_REST_STEP, _TIMES_OF_MOTION = 1e-6, 2001
 # Joints that are off by less are where the plan has them, rad or m.
 _SAME_JOINTS = 1e-9
+# Points are tried in numbers that grow by this factor.
+_MORE_POINTS = 1.1
+
+MAX_DEVIATION = 1e-3
+"""What the quintics through points of a message may be off the plan, rad and m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +63,18 @@ class RosTrajectory:
     deviation: float
     tool_deviation: float
     left_out: dict[str, float]
+
+    def follows(self, plan: Plan) -> bool:
+        """Whether the quintics are as near to the plan as its tool has to be to its path."""
+        near_tool = self.tool_deviation <= plan.options.max_tool_deviation_m
+        return near_tool and self.deviation <= MAX_DEVIATION
+
+
+def enough_points(plan: Plan, least: int) -> int:
+    """Return a number of points, `least` or more, whose quintics follow the plan."""
+    while not trajectory_message(plan, message_times(plan.job.trajectory, least)).follows(plan):
+        least = int(np.ceil(_MORE_POINTS * least))
+    return least
 
 
 def export_ros(

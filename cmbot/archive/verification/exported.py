@@ -16,7 +16,7 @@ from pydantic_core import from_json
 
 from cmbot.archive.folder import listed_name, read_file
 from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, require_same
-from cmbot.archive.ros.messages import bag, messages, trajectory_message
+from cmbot.archive.ros.messages import MAX_DEVIATION, bag, messages, trajectory_message
 from cmbot.archive.tables import require_table, samples_csv
 from cmbot.archive.writing import job_table
 from cmbot.common.arrays import IntArray
@@ -27,8 +27,6 @@ from cmbot.planning import Plan
 # What numbers of messages may differ by, as a share and at least: processors round differently.
 _SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000
-# What messages of few points may be off the plan between these, rad and m.
-_MAX_DEVIATION = 1e-3
 
 
 def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
@@ -85,9 +83,9 @@ def _message(plan: Plan, path: Path) -> list[str]:
     times, joints, effort = _as_given(data, plan, source)
     found = trajectory_message(plan, times, joints=joints, effort=effort)
     require_same(data, found.message, source, "", _SAME, _SAME_ZERO, _WHY)
-    if found.deviation > _MAX_DEVIATION:
+    if found.deviation > MAX_DEVIATION:
         got = f"points whose quintics are {found.deviation:.3g} rad (or m) off"
-        raise ArchiveError(source, "points", got, f"the motion within {_MAX_DEVIATION:g}, as {_WHY}")
+        raise ArchiveError(source, "points", got, f"the motion within {MAX_DEVIATION:g}, as {_WHY}")
     if found.tool_deviation > (most := plan.options.max_tool_deviation_m):
         got = f"points whose quintics lead the tool {1e3 * found.tool_deviation:.3g} mm off"
         raise ArchiveError(source, "points", got, f"{1e3 * most:g} mm at most (planner.max_tool_deviation_m)")
