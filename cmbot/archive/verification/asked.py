@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.records import require_same
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
@@ -25,7 +26,7 @@ from cmbot.planning import (
     with_cuts,
 )
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts, coverage_of
+from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts, pieces_left_out
 from cmbot.toolpath import AUTO, RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
@@ -49,8 +50,10 @@ _MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
 _SECOND_ORDER = 0.1
 # Pieces of a row that have no more in common touch, m.
 _TOUCHING_M = 1e-6
-# By which share of a surface two searches of what is reached may differ.
-_SAME_AREA = 1e-3
+# Share of the via-points asked for that planning leaves at least.
+_FEWEST_VIA_POINTS = 0.5
+# By which share of what is left away two searches of what is reached may differ.
+_SAME_CUT = 1e-3
 
 
 def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "asked") -> tuple[str, ...]:
@@ -77,7 +80,7 @@ def other_options(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, 
     return _differing(options, asked, no_less)
 
 
-def more_via_points(scene: Scene, asked: Scene) -> tuple[str, ...]:
+def other_via_points(scene: Scene, asked: Scene) -> tuple[str, ...]:
     """Return which strokes of a scene have other numbers of via-points than asked, each with both values."""
     due = {str(stroke.name): stroke.via_points for stroke in asked.strokes}
     pairs = [(stroke, due.get(stroke.part_of or str(stroke.name), AUTO)) for stroke in scene.strokes]
@@ -232,17 +235,25 @@ def require_done(plan: Plan, asked: Scene | None, options: PlannerOptions, sourc
     ArchiveError
     """
     require_still(plan, options, source)
-    own = plan.coverage
-    if asked is None or not any(cover.unreached for cover in own.values()):
+    if asked is None:
         return
     X_WT = Kinematics(plan.robot).tool_pose(np.array(asked.posture)).homogeneous
-    reached = coverage_of(reached_scene(asked, options).timed_strokes(X_WT))
-    for name, cover in own.items():
-        if cover.unreached > reached[name].unreached + _SAME_AREA * cover.area:
-            got = f"{cover.unreached:.3g} m2 of {name} left out"
-            raise ArchiveError(
-                source, "rows", got, f"{reached[name].unreached:.3g} m2: the arm reaches the rest"
-            )
+    own = _left_away(plan.scene, X_WT)
+    reached = _left_away(reached_scene(asked, options), X_WT) if own else {}
+    for name, away in own.items():
+        if away > (1 + _SAME_CUT) * reached.get(name, 0.0) + _TOUCHING_M:
+            got = f"{1e3 * away:.4g} mm of the rows of {name} left away, and their overscan"
+            expected = f"{1e3 * reached.get(name, 0.0):.4g} mm: the arm reaches the rest"
+            raise ArchiveError(source, "rows", got, expected)
+
+
+def _left_away(scene: Scene, X_WT: FloatArray) -> dict[str, float]:
+    """How much of the rows of each raster is left away, m."""
+    away = dict[str, float]()
+    for file, piece in pieces_left_out(scene.timed_strokes(X_WT)):
+        name = str(file.part_of or file.name)
+        away[name] = away.get(name, 0.0) + piece.length
+    return away
 
 
 def require_fixed(plan: Plan, options: PlannerOptions, source: str) -> None:
@@ -267,9 +278,9 @@ def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -
     decided = {"backwards"} if in_any_direction else set[str]()
     if asked.is_open or asked.speed_profile.kind == "quiet":
         decided.add("time_laws")
-    # Planning takes more of them where the tool strays, or legs are short.
+    # Planning takes more of them where the tool strays, or legs are short, and fewer where splines swing.
     given = [each.via_points for each in (stroke, asked)]
-    if given[1] == AUTO or (isinstance(given[0], int) and given[0] >= given[1]):
+    if given[1] == AUTO or (isinstance(given[0], int) and given[0] >= _FEWEST_VIA_POINTS * given[1]):
         decided.add("via_points")
     return decided
 

@@ -16,8 +16,8 @@ from cmbot.archive.records import PLAN_FILE, TOUR_FILE, WALK_FILE, require_same
 from cmbot.archive.tables import require_table
 from cmbot.archive.verification.asked import (
     looser_promises,
-    more_via_points,
     other_options,
+    other_via_points,
     require_asked,
     require_promised,
 )
@@ -198,7 +198,7 @@ def _require_tour(
         files = [strokes[name].changed(name=name) for name in some]
         wanted = plan.scene.with_strokes(files, asked.order)
         require_asked(plan.scene, wanted, str(source), plan.options)
-        others += more_via_points(plan.scene, wanted)
+        others += other_via_points(plan.scene, wanted)
     return tuple(others)
 
 
@@ -229,7 +229,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser, others = looser_promises(part.options, options), other_options(part.options, options)
             if scene is not None:
-                others += more_via_points(part.scene, scene)
+                others += other_via_points(part.scene, scene)
             skipped = (*_claims(part, scene), *skipped, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
