@@ -10,7 +10,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import CmbotError
+from cmbot.common.errors import CmbotError, PathNotFound
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.excitation import sway_mm_per_m_s2
@@ -111,7 +111,10 @@ class Judge:
             scene = scene_at(self.scene, result.candidate, None)
             bound = bounded_quickly(scene, self._at_rest(result), ending.left())
         except CmbotError as error:
-            return result.rejected("obstacles", Rejection.of("blocked", error))
+            if not (isinstance(error, PathNotFound) and self._own_unreached):
+                return result.rejected("obstacles", Rejection.of("blocked", error))
+            # Which rows may be left out is asked of few stances: it takes seconds.
+            bound = result.bound
         if bound == 0 or self.objective == "sway":
             # Nothing is charted where the tool's axis may lean; for the sway it is by the sag.
             bound = result.bound
@@ -125,7 +128,11 @@ class Judge:
         """Chart a stance at all via-points."""
         limit = min(self.scene.planner.time_limit_s, ending.part("charts"))
         try:
-            charted = chart(scene_at(self.scene, result.candidate, None), self._at_rest(result), limit)
+            placed = scene_at(self.scene, result.candidate, None)
+            reached = self._reached(placed, Deadline(limit)) if self._own_unreached else placed
+            if isinstance(reached, Rejection):
+                return result.rejected("charts", reached)
+            charted = chart(reached, self._at_rest(result), limit)
         except CmbotError as error:
             return result.rejected("charts", Rejection.of("blocked", error))
         number = np.full(len(charted.postures), result.number)
@@ -156,13 +163,12 @@ class Judge:
             deadline = Deadline(limit, whole=whole, name="this stance")
             options = replace(placed.planner, time_limit_s=limit)
             # First what takes a tenth of a plan's time.
-            scene = reached_scene(placed, options, deadline)
-            # Where the scene has it rows are left out as `plan` does; no other stance leaves out more.
-            left_out = 0.0 if result.own else unreached_area(scene)
-            if left_out and left_out > self._own_unreached * (1 + _SAME_AREA):
-                why = "of the rasters are not reached"
-                rejection = Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
-                return result.rejected("plan", rejection)
+            if result.own:
+                scene: Scene | Rejection = reached_scene(placed, options, deadline)
+            else:
+                scene = self._reached(placed, deadline)
+            if isinstance(scene, Rejection):
+                return result.rejected("plan", scene)
             made = plan_candidate(scene, options, deadline, wanted=result.own)
         except CmbotError as error:
             return result.rejected("plan", Rejection.of("failed", error))
@@ -175,14 +181,31 @@ class Judge:
         # No estimate is above what was found.
         return replace(result, value=value, plan=made, bound=min(result.bound, value))
 
+    def _reached(self, placed: Scene, deadline: Deadline) -> Scene | Rejection:
+        """The scene without the rows that nothing reaches, as `plan` leaves them out.
+
+        No stance leaves out more than the scene's own.
+        """
+        scene = reached_scene(placed, placed.planner, deadline)
+        if (left_out := unreached_area(scene)) <= self._own_unreached * (1 + _SAME_AREA):
+            return scene
+        why = "of the rasters are not reached"
+        return Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
+
     @cached_property
     def _own_unreached(self) -> float:
-        """Area of rasters, m2, that the arm does not reach where the scene has it; 0 where it has no plan."""
+        """Area of rasters, m2, that the arm does not reach where the scene has it; 0 where it has no plan.
+
+        Where its feet hold nothing there, what it would not reach if they did.
+        """
         scene = self.as_it_is
-        try:
-            return unreached_area(reached_scene(scene, scene.planner, Deadline(scene.planner.time_limit_s)))
-        except CmbotError:
-            return 0.0
+        for held in (scene, scene.changed(guardrail=scene.guardrail.changed(hold=None))):
+            try:
+                deadline = Deadline(scene.planner.time_limit_s)
+                return unreached_area(reached_scene(held, scene.planner, deadline))
+            except CmbotError:
+                continue
+        return 0.0
 
     def _placed(self, result: StanceResult) -> Scene:
         if result.own:

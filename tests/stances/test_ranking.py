@@ -42,7 +42,8 @@ from cmbot.stances import (
 )
 from cmbot.stances.arm import BaseArm, _Goals
 from cmbot.stances.candidates import climber_in_the_way, has_flat_foot
-from cmbot.stances.stages import figures_of, value_of
+from cmbot.stances.search import Ending, StanceResult
+from cmbot.stances.stages import Judge, figures_of, value_of
 from cmbot.views import stances_page
 from cmbot.views.overview.stances import _apart
 
@@ -521,6 +522,41 @@ def test_where_no_stance_reaches_the_path(changes: dict[str, Any], said: str) ->
         # A little more is enough for a posture at every via-point, as of feet with less of safety.
         hold = {**changes["guardrail"]["hold"], "safety": 3.0 / (1.02 * float(times))}
         assert stand(scene_of("torque", guardrail={"hold": hold}), some)[0].waiting
+
+
+@pytest.mark.parametrize(("cover", "blocked"), [("reachable", False), ("all", True)])
+def test_rows_that_the_own_stance_leaves_out_block_no_other(cover: str, blocked: bool) -> None:
+    """Nor those that it would leave out, if its feet held: the web of a girder is in the way of one."""
+    raster = {"origin": [1.7, -0.37, -2.1], "u": [0.5, 0, 0], "v": [0, 0.1, 0], "spacing_m": 0.05}
+    raster |= {"stand_off_m": 0, "cover": cover}
+    web = {"name": "web", "box": [9, 0.012, 0.96], "xyz": [0, -0.42, -1.62]}
+    flange = {"name": "flange", "box": [9, 0.5, 0.02], "xyz": [0, -0.42, -2.11], "workpiece": True}
+    own = in_world(
+        cmbot.load_scene(
+            {
+                "format": "cmbot-scene/2",
+                "name": "girder",
+                "start": {"stow": True},
+                "tool": {"contact_mm": 60},
+                "tool_path": {"keep": "axis", "raster": raster, "speed_m_s": 0.05},
+                "obstacles": [web, flange],
+                "guardrail": {"hold": {"kind": "magnet", "adhesion_n": 5000}},
+            }
+        )
+    )
+    feet = {f"foot_{k + 1}": {"member": "post_4", "along_m": at} for k, at in enumerate((0.39, 0.84))}
+    candidate = own_candidate(own.with_stance(StanceFile.model_validate(feet)))
+    judge = Judge(
+        scene=put_away(own),
+        as_it_is=own,
+        screener=SimpleNamespace(least=np.zeros(1)),
+        own={},
+        options=COARSE,
+        bounds=Bounds(),
+        objective="torque",
+    )
+    result = StanceResult(candidate=candidate, stage="clearance", bound=1.0)
+    assert (judge.checked(result, Ending(limit=np.inf)).rejection is not None) == blocked
 
 
 def test_members_that_no_foot_holds(scene: Scene) -> None:
