@@ -218,7 +218,8 @@ class Rejection:
         cause: str, use: float, weakest: str, *, kind: Status = "blocked", said: str = ""
     ) -> Rejection:
         """Return that of an arm that cannot be put away, as that takes `use` times what `weakest` bears."""
-        reason = f"{said or cause}, {use:.2f} times what it bears"
+        # Rounded up: 1.00 times would be no reason.
+        reason = f"{said or cause}, {use + 0.005:.2f} times what it bears"
         return Rejection(kind=kind, reason=reason, cause=cause, excess=use, weakest=weakest)
 
     @staticmethod

@@ -73,13 +73,13 @@ def _paragraphs(sentences: Sequence[str]) -> str:
 
 def _where(ranking: StanceRanking) -> str:
     """Where the feet of the first stance hold, on the guardrail."""
-    if not ranking.ranked or not isinstance(ranking.ranked[0].candidate, Candidate):
+    first = next((each for each in ranking.ranked if each.rejection is None), None)
+    if first is None or not isinstance(first.candidate, Candidate):
         return ""  # mounts are on no guardrail
-    strokes = strokes_of(ranking.scene, robot_of(ranking.scene))
-    paths = [stroke.path.outline() for stroke in strokes]
+    paths = [stroke.path.outline() for stroke in strokes_of(ranking.scene, robot_of(ranking.scene))]
     names = ("the most promising stance", "the only stance planned", "the best stance")
     name = names[min(ranking.count("planned"), 2)]
-    drawn = guardrail_map(ranking.scene, [], [Stand(ranking.ranked[0].candidate, name, paths)])
+    drawn = guardrail_map(ranking.scene, [], [Stand(first.candidate, name, paths)])
     return f"<section>{drawn}</section>"
 
 
