@@ -285,9 +285,11 @@ def posture_of(
     InputError
         When there are other numbers than joints, or degrees of an arm with joints that slide.
     """
-    if posture_deg is not None and limits.prismatic.any():
-        expected = "posture, in rad and, of joints that slide, m"
-        raise InputError(source, f"{key}_deg", "degrees, but a joint slides", expected)
+    if posture_deg is not None:
+        key = f"{key}_deg"
+        if limits.prismatic.any():
+            expected = "posture, in rad and, of joints that slide, m"
+            raise InputError(source, key, "degrees, but a joint slides", expected)
     given = np.array(posture, dtype=float) if posture_deg is None else np.radians(posture_deg)
     _require_length(given, len(limits.torque), source, key)
     return given

@@ -62,7 +62,7 @@ def test_a_file_is_read_in_si(tmp_path: Path) -> None:
         ),
         (
             {"measurements": [{"posture_deg": [1, 2], "deflection_mm": [1, 2, 3]}]},
-            "measurements[0].posture: got 2 numbers, expected 7, one for each joint of the robot",
+            "measurements[0].posture_deg: got 2 numbers, expected 7, one for each joint of the robot",
         ),
         (
             {"measurements": [{"posture_deg": POSTURE, "deflection_mm": {"z": -5, "w": 1}}]},
