@@ -61,6 +61,9 @@ def read_deflections(
     table = read_table(Path(path), InputError, kind="a table of deflections")
     loaded = load_scene(scene)
     postures, used = table.joints(robot_of(loaded).joints)
+    posture = "posture"
+    if all(table.names[column].endswith("_deg") for column in used):
+        posture, postures = "posture_deg", table.numbers(used)
     weight, record = table.index(*_WEIGHT_COLUMNS), table.index("record")
     setup = {
         _SETUP_COLUMNS[name]: column for column, name in enumerate(table.names) if name in _SETUP_COLUMNS
@@ -87,7 +90,7 @@ def read_deflections(
     records = [None if record is None else cells[record] or None for cells in table.rows]
     moved = [[x if np.isfinite(x) else None for x in by] for by in deflections.tolist()]
     each = [
-        {"posture": q, "deflection_mm": dict(zip(measured, by, strict=True)), "record": own}
+        {posture: q, "deflection_mm": dict(zip(measured, by, strict=True)), "record": own}
         for q, by, own in zip(postures.tolist(), moved, records, strict=True)
     ]
     return tuple(

@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.reading.fields import Posture, Text
 from cmbot.common.reading.input_files import is_file
@@ -238,9 +238,7 @@ def in_si(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
     robot = robot_of(scene)
     rows, n = [], len(robot.joints)
     for k, each in enumerate(file.measurements):
-        key = f"measurements[{k}].posture"
-        rows.append(posture_of(each.posture_deg, each.posture, robot.limits, source, key))
-        _require_range(rows[-1], robot, source, key if each.posture_deg is None else f"{key}_deg")
+        rows.append(posture_of(each.posture_deg, each.posture, robot, source, f"measurements[{k}].posture"))
     for k, posture in enumerate(file.job or ()):
         _require_length(posture, n, source, f"job[{k}]")
     nothing = (None, None, None)
@@ -276,40 +274,43 @@ def _modes(file: MeasurementFile, folder: Path, source: str, number: int) -> Rin
 
 
 def posture_of(
-    posture_deg: Posture | None, posture: Posture | None, limits: JointLimits, source: str, key: str
+    posture_deg: Posture | None, posture: Posture | None, robot: Robot, source: str, key: str
 ) -> FloatArray:
     """Return a posture (n,) in SI that a file gives in degrees or in rad and m; `key` is that of the latter.
 
     Raises
     ------
     InputError
-        When there are other numbers than joints, or degrees of an arm with joints that slide.
+        When there are other numbers than joints, degrees of an arm with joints that slide, or a position
+        beyond a joint's range, as is one in the other unit.
     """
     if posture_deg is not None:
         key = f"{key}_deg"
-        if limits.prismatic.any():
+        if robot.limits.prismatic.any():
             expected = "posture, in rad and, of joints that slide, m"
             raise InputError(source, key, "degrees, but a joint slides", expected)
     given = np.array(posture, dtype=float) if posture_deg is None else np.radians(posture_deg)
-    _require_length(given, len(limits.torque), source, key)
+    _require_length(given, len(robot.joints), source, key)
+    limits = robot.limits
+    for k in np.flatnonzero(_beyond_ranges(given, limits)):
+        unit = " m" if limits.prismatic[k] else " rad" if posture_deg is None else " deg"
+        factor = 1.0 if posture_deg is None else np.degrees(1.0)
+        got, least, most = (factor * float(each[k]) for each in (given, limits.lower, limits.upper))
+        expected = f"the joint's range, {least:.4g} to {most:.4g}{unit}"
+        otherwise = np.radians(given) if posture_deg is None else np.degrees(given)
+        if not (limits.prismatic.any() or _beyond_ranges(otherwise, limits).any()):
+            joint, q = robot.joints[k], f"q{k + 1}"
+            if posture_deg is None:
+                expected += f"; degrees? name them posture_deg, in a table {joint}_deg or {q}_deg"
+            else:
+                expected += f"; radians? name them posture, in a table {joint} or {q} (without _deg)"
+        raise InputError(source, key, f"{robot.joints[k]} at {got:.4g}{unit}", expected)
     return given
 
 
-def _require_range(q: FloatArray, robot: Robot, source: str, key: str) -> None:
-    """Refuse a posture that the arm cannot have had, as is one whose angles are in the other unit."""
-    lower, upper = robot.limits.lower, robot.limits.upper
-    for k in np.flatnonzero((q < lower - _RANGE_TOLERANCE) | (q > upper + _RANGE_TOLERANCE)):
-        slides, in_degrees = bool(robot.limits.prismatic[k]), key.endswith("_deg")
-        unit = " m" if slides else " deg" if in_degrees else " rad"
-        got, least, most = (
-            np.degrees([q[k], lower[k], upper[k]]) if in_degrees else (q[k], lower[k], upper[k])
-        )
-        expected = f"the joint's range, {least:.4g} to {most:.4g}{unit}"
-        if not (slides or in_degrees):
-            expected += (
-                "; degrees? name them posture_deg, in a table " + f"{robot.joints[k]}_deg or q{k + 1}_deg"
-            )
-        raise InputError(source, key, f"{robot.joints[k]} at {got:.4g}{unit}", expected)
+def _beyond_ranges(q: FloatArray, limits: JointLimits) -> BoolArray:
+    """Whether each joint (n,) is where the arm cannot have been, in a posture `q` (n,)."""
+    return np.asarray((q < limits.lower - _RANGE_TOLERANCE) | (q > limits.upper + _RANGE_TOLERANCE))
 
 
 def _require_length(posture: Any, n: int, source: str, key: str) -> None:

@@ -294,7 +294,7 @@ def _places(file: TouchesFile, scene: Scene, source: str) -> FloatArray:
             continue
         at.append(k)
         key = f"touches[{k}].posture"
-        postures.append(posture_of(touch.posture_deg, touch.posture, robot.limits, source, key))
+        postures.append(posture_of(touch.posture_deg, touch.posture, robot, source, key))
     if at:
         q, arm = np.array(postures), bending_arm(scene, robot)
         sag = np.zeros((len(q), 3)) if arm is None else Sag(arm).at(q).tool

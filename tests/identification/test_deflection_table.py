@@ -378,3 +378,14 @@ def test_frequencies_that_contradict_an_arm_far_from_its_model_are_refused(scene
     require_fit(replace(found, parts=(worse, prior)))
     with pytest.raises(InputError, match=r"true weight_kg"):
         require_fit(replace(found, parts=(worse, replace(prior, scale=1.4))))
+
+
+def test_radians_under_the_names_of_degrees_are_told(scene: str, tmp_path: Path) -> None:
+    """What is advised is read: a Panda's fourth joint is never straight."""
+    cells = "0.5,0.4,-0.5,-0.8,0.3,1.6,0.2,5,0.1,0.2,-0.5"
+    file = table(tmp_path, f"{JOINTS},weight_kg,dx,dy,dz", cells)
+    with pytest.raises(InputError, match=r"line 2, posture_deg: .* deg; radians.* or q4 .without _deg."):
+        read_deflections(file, "panda_sanding")
+    file = table(tmp_path, f"{JOINTS.replace('_deg', '')},weight_kg,dx,dy,dz", cells)
+    (read,) = read_deflections(file, "panda_sanding")
+    np.testing.assert_array_equal(read.q[0], [0.5, 0.4, -0.5, -0.8, 0.3, 1.6, 0.2])

@@ -167,6 +167,14 @@ def test_csv_is_known_by_its_columns(scene: Scene, tmp_path: Path) -> None:
         ({"place": [0, 0, 0]}, "exactly one of point, plane, edge, cylinder"),
         ({"point": [0, 0, 0]}, "exactly one of posture_deg, posture, place"),
         ({"posture_deg": [1, 2], "point": [0, 0, 0]}, "7, one for each joint"),
+        (
+            {"posture": [-10, -90, 90, 0, 10, 50, 0], "point": [0, 0, 0]},
+            r"touches\[0\]\.posture: got joint_1 at -10 rad, expected the joint's range, .*; degrees\?",
+        ),
+        (
+            {"posture_deg": [-10, -90, 290, 0, 10, 50, 0], "point": [0, 0, 0]},
+            r"touches\[0\]\.posture_deg: got joint_3 at 290 deg, expected the joint's range, -1[^;]*$",
+        ),
         ({"place": [0, 0, 0], "plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}, "length 0"),
         ({"place": [0, 0, 0], "corner": [0, 0, 0]}, "corner"),
     ],

@@ -1,6 +1,7 @@
 """Files of measurements: what they say, and what is refused."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,3 +84,29 @@ def test_what_is_wrong_is_refused_by_its_key(changes: dict[str, Any], message: s
     with pytest.raises(InputError) as refused:
         read_measurements(content(**changes))
     assert message in str(refused.value)
+
+
+IN_RANGE = np.array([0.5, 0.4, -0.5, -0.8, 0.3, 1.6, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("key", "posture", "advice"),
+    [
+        ("posture_deg", IN_RANGE, "; radians? name them posture, in a table "),
+        ("posture", np.degrees(IN_RANGE), "; degrees? name them posture_deg, in a table "),
+        ("posture", [*np.degrees(IN_RANGE[:-1]), 999.0], ""),
+        ("posture_deg", [0.5, 0.4, -0.5, 12.0, 0.3, 1.6, 0.2], ""),
+        ("posture", [0.01, 0.01, -0.01, -0.01, 0.01, 0.03, 0.0], ""),
+    ],
+)
+def test_the_other_unit_is_asked_for_where_it_fits_the_ranges(
+    key: str, posture: Sequence[float], advice: str
+) -> None:
+    """The fourth joint of a Panda cannot be straight: radians are recognised under the name of degrees."""
+    one = {key: list(posture), "deflection_mm": [1, 2, 3]}
+    with pytest.raises(InputError) as refused:
+        read_measurements(content(scene="panda_sanding", measurements=[one]))
+    assert refused.value.key == f"measurements[0].{key}"
+    assert "the joint's range, " in refused.value.expected
+    assert advice in refused.value.expected
+    assert bool(advice) == ("?" in refused.value.expected)
