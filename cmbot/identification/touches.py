@@ -27,7 +27,7 @@ from pydantic import ConfigDict, Field
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.reading.fields import Posture, Text, Vector, given_of
+from cmbot.common.reading.fields import Posture, Site, Text, Vector, given_of
 from cmbot.common.reading.text_table import read_table
 from cmbot.common.reading.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.reading.yaml_reader import lines_named, read_yaml
@@ -48,14 +48,14 @@ _PLACE_KEYS = ("posture_deg", "posture", "place")
 class PlaneFile(FileModel):
     """A plane; the tool touches it from where its normal points."""
 
-    point: Vector
+    point: Site
     normal: Vector
 
 
 class EdgeFile(FileModel):
     """A straight edge."""
 
-    point: Vector
+    point: Site
     direction: Vector
 
 
@@ -82,9 +82,9 @@ class TouchFile(FileModel):
     posture_deg: Posture | None = None
     posture: Posture | None = None
     """In rad and, of joints that slide, m."""
-    place: Vector | None = None
+    place: Site | None = None
     """Of the tool point in W, m, as a tracker gives it."""
-    point: Vector | None = None
+    point: Site | None = None
     plane: PlaneFile | None = None
     edge: EdgeFile | None = None
     cylinder: CylinderFile | None = None

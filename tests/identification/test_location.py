@@ -176,6 +176,14 @@ def test_csv_is_known_by_its_columns(scene: Scene, tmp_path: Path) -> None:
             r"touches\[0\]\.posture_deg: got joint_3 at 290 deg, expected the joint's range, -1[^;]*$",
         ),
         ({"place": [0, 0, 0], "plane": {"point": [0, 0, 0], "normal": [0, 0, 0]}}, "length 0"),
+        (
+            {"place": [1912, 191, -1894], "point": [0, 0, 0]},
+            r"touches\[0\]\.place: got .*, expected metres: millimetres\? then \[1\.912, 0\.191, -1\.894\]",
+        ),
+        (
+            {"place": [0, 0, 0], "plane": {"point": [0, 0, 300], "normal": [0, 0, 1]}},
+            r"touches\[0\]\.plane\.point: got .*, expected metres: millimetres\? then \[0, 0, 0\.3\]",
+        ),
         ({"place": [0, 0, 0], "corner": [0, 0, 0]}, "corner"),
     ],
 )

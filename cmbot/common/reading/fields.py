@@ -145,6 +145,8 @@ Sides = Annotated[tuple[Length, Length], IN_REACH]
 """Of a part of a robot, m."""
 Place = Annotated[Vector, IN_REACH]
 """On a link or a tool, m."""
+Site = Annotated[Vector, no_thousands(LONGEST_TUBE_M, MILLIMETRES)]
+"""On a workpiece, or where the tool touches it, m."""
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
