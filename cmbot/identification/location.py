@@ -130,21 +130,20 @@ def locate(source: str | Path | Mapping[str, Any], scene: Scene | str | Path | N
 
 def located(touches: Touches) -> Location:
     """Return where the frame of touches is; errors as `locate`."""
-    counted_in = list(range(len(touches.features)))
-    most = int(_MOST_LEFT_OUT * len(counted_in))
-    problem = _Problem(touches)
-    xi = problem.solved(np.zeros(6), counted_in, robust=True).x
-    while True:
-        estimate = problem.solved(xi, counted_in)
-        xi, covariance = estimate.x, np.linalg.inv(estimate.jac.T @ estimate.jac)
-        worst = problem.worst(estimate, covariance, counted_in)
-        if worst is None:
-            break
-        counted_in.remove(worst)
-        if len(touches.features) - len(counted_in) > most:
-            off = 1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0]))
-            expected = "touches that fit each other: more than a third does not; look at features and units"
-            raise InputError(touches.source, touches.key(worst), f"{off:.1f} mm from its feature", expected)
+    problem, number = _Problem(touches), len(touches.features)
+    start = problem.solved(np.zeros(6), range(number), robust=True).x
+    xi, covariance, counted_in, worst = problem.fitting(start, range(number))
+    if worst is not None and number >= 1 / _MOST_LEFT_OUT:
+        # A gross mistake draws the linear fit so far to it that others look worse, not the robust one.
+        far = np.argmax([np.linalg.norm(r) for r in problem.residuals(start, range(number))])
+        again = problem.fitting(start, [k for k in range(number) if k != far])
+        if again[-1] is None:
+            xi, covariance, counted_in, worst = again
+    if worst is not None:
+        off = 1e3 * float(np.linalg.norm(problem.residuals(xi, [worst])[0]))
+        misfits = f"{number + 1 - len(counted_in)} of {number} do not, more than a third"
+        expected = f"touches that fit each other: {misfits}; look at features and units"
+        raise InputError(touches.source, touches.key(worst), f"{off:.1f} mm from its feature", expected)
     if (off := float(np.abs(xi / problem.prior).max())) > _MAX_PRIOR_SIGMAS:
         shift, turned = 1e3 * np.linalg.norm(xi[:3]), np.degrees(np.linalg.norm(xi[3:]))
         prior, frame = touches.setup.prior, touches.frame
@@ -211,6 +210,22 @@ class _Problem:
         how: Any = {"args": (numbers,), "jac": "3-point", "x_scale": self.prior, "f_scale": _HUBER_SIGMAS}
         how |= dict.fromkeys(("xtol", "ftol", "gtol"), 1e-12)
         return least_squares(self.stacked, start, loss="soft_l1" if robust else "linear", **how)
+
+    def fitting(
+        self, xi: FloatArray, numbers: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray, list[int], int | None]:
+        """The estimate by touches that fit each other, from `xi` on, its covariance (6, 6), and the touches.
+
+        At last one that does not fit them, where too many would be left out.
+        """
+        kept = list(numbers)
+        while True:
+            estimate = self.solved(xi, kept)
+            xi, covariance = estimate.x, np.linalg.inv(estimate.jac.T @ estimate.jac)
+            worst = self.worst(estimate, covariance, kept)
+            if worst is None or len(self._features) + 1 - len(kept) > _MOST_LEFT_OUT * len(self._features):
+                return xi, covariance, kept, worst
+            kept.remove(worst)
 
     def worst(self, estimate: Any, covariance: FloatArray, numbers: Sequence[int]) -> int | None:
         """The touch that fits the others least, where chance hardly makes it so."""

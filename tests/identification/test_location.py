@@ -96,11 +96,25 @@ def test_a_touch_of_another_corner_is_left_out(scene: Scene) -> None:
     assert any(line.startswith("touches[3] is ") for line in location_remarks(found, touches))
 
 
+@pytest.mark.parametrize(("wrong", "axis", "by"), [(0, 2, 0.6), (1, 1, 0.6), (2, 1, -0.6), (3, 0, 1.2)])
+def test_a_gross_mistake_is_left_out_alone(scene: Scene, wrong: int, axis: int, by: float) -> None:
+    """Four corners of a plate, one with a wrong coordinate, which draws the linear fit to it."""
+    rng = np.random.default_rng(9)
+    corners = [np.array([0.0, y, z]) for y in (0.0, 0.4) for z in (0.0, 0.3)]
+    each = [Feature(kind="point", point=corner, axis=np.zeros(3)) for corner in corners]
+    xi = drawn(rng)
+    touches = measured(scene, each, xi, rng)
+    touches.places[wrong, axis] += by
+    found = located(touches)
+    assert found.left_out == (wrong,)
+    np.testing.assert_allclose(found.moved[:3], xi[:3], atol=2e-3)
+
+
 def test_where_half_of_them_do_not_fit_nothing_is_said(scene: Scene) -> None:
     rng = np.random.default_rng(6)
     touches = measured(scene, features("point", rng, 6), drawn(rng), rng)
     touches.places[:] += 0.2 * rng.normal(size=(6, 3))
-    with pytest.raises(InputError, match="more than a third does not"):
+    with pytest.raises(InputError, match=r"[3-6] of 6 do not, more than a third"):
         located(touches)
 
 
