@@ -82,6 +82,21 @@ def screen(chrome: Chrome, width: int = 1280, height: int = 800, scale: float = 
         _resize(chrome, 1280, 800, _PIXELS)
 
 
+@contextmanager
+def without_webgl(chrome: Chrome) -> Iterator[None]:
+    """Let pages that are opened meanwhile find no WebGL, as in a browser that lacks it."""
+    script = """const given = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+            return kind.includes("webgl") ? null : given.call(this, kind, ...rest);
+        };"""
+    added = chrome.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": script})
+    try:
+        yield
+    finally:
+        chrome.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+        chrome.get("about:blank")
+
+
 def _resize(chrome: Chrome, width: int, height: int, scale: float) -> None:
     metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)

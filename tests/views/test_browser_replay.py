@@ -1,12 +1,13 @@
 """The replay page in a browser without a network: it shows the plan, at any time, and nothing else runs."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide
+from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide, without_webgl
 from page_data import without_shapes
 from plan_folders import without_approach
 from selenium.webdriver import Chrome
@@ -297,3 +298,13 @@ def test_what_takes_long_is_played_faster_at_first(chrome: Chrome, replay_file: 
     offered = "[...document.querySelectorAll('#speed option')].map((option) => Number(option.value))"
     assert ask(chrome, offered) == [0.25, 0.5, 1, 2, 4]
     assert ask(chrome, "document.getElementById('speed').value") == "1"
+
+
+def test_without_webgl_the_torque_is_drawn(chrome: Chrome, replay_file: Path) -> None:
+    with without_webgl(chrome):
+        open_page(chrome, replay_file)
+        told = chrome.find_element("id", "failure").text
+        assert re.fullmatch(r"The 3-D view cannot be shown: .*[^.]\. It needs a browser with WebGL\.", told)
+        assert len(np.unique(pixels(ask(chrome, "document.getElementById('plot').toDataURL()")))) > 20
+    open_page(chrome, replay_file)
+    require_quiet(chrome, replay_file)

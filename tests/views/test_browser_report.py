@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide
+from browser import ask, next_frame, open_page, pixels, require_quiet, screen, shows, slide, without_webgl
 from obstacle_entries import renamed, with_obstacles
 from page_data import hostile, without_shapes
 from PIL import ImageColor
@@ -590,3 +590,21 @@ def printing(chrome: Chrome) -> Iterator[None]:
         yield
     finally:
         chrome.execute_script("window.dispatchEvent(new Event('afterprint'))")
+
+
+def test_without_webgl_the_plots_are_drawn_and_follow(chrome: Chrome, report_file: Path) -> None:
+    drawn = "[...document.querySelectorAll('path.curve')].map((path) => path.getTotalLength())"
+    open_page(chrome, report_file)
+    with_view = ask(chrome, drawn)
+    with without_webgl(chrome):
+        open_page(chrome, report_file)
+        assert "It needs a browser with WebGL." in chrome.find_element("id", "view").text
+        assert len(ask(chrome, drawn)) == len(with_view) > 50
+        assert min(ask(chrome, drawn)) > 20
+        before = cursors(chrome)
+        plot = chrome.find_element("css selector", "#charts-torque svg")
+        chrome.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+        ActionChains(chrome, duration=0).move_to_element_with_offset(plot, 100, 0).click().perform()
+        assert (cursors(chrome) != before).all()
+        chrome.execute_script("document.querySelector('.joint').click()")
+        assert len(ask(chrome, drawn)) > len(with_view)

@@ -6,6 +6,9 @@ const FAST = [10, 30, 100];  // further speeds of long jobs
 // The speed at which a job of so many seconds is played at first.
 const speedFor = (seconds) => [1, 2, 4, ...FAST].find((times) => seconds <= LONG * times) ?? FAST.at(-1);
 
+// The largest torque on the base that is shown, Nm.
+const peakOf = (phases, data) => Math.max(...phases.map((phase) => phase.peak), data.floor ?? 0);
+
 class Player {
   constructor(data, onTime) {
     this.data = data;
@@ -13,7 +16,7 @@ class Player {
     this.phases = phasesOf(data);
     for (const name of MOTIONS) this.addHalf(name);
     this.work = this.phases.find((phase) => phase.start === data.workStart && !phase.free);
-    this.peak = Math.max(...this.phases.map((phase) => phase.peak), data.floor ?? 0);
+    this.peak = peakOf(this.phases, data);
     this.stage.peak = this.peak;
     this.ui = Object.fromEntries([...document.querySelectorAll("[id]")].map((element) => [element.id, element]));
     this.onTime = onTime;
@@ -350,8 +353,8 @@ function start(begin) {
   } catch (error) {
     const note = document.createElement("p");
     note.id = "failure";
-    note.textContent = `The 3-D view cannot be shown: ${error.message}. It needs a browser with WebGL.`;
-    document.body.append(note);
+    note.textContent = `The 3-D view cannot be shown: ${error.message.replace(/\.+$/, "")}. It needs a browser with WebGL.`;
+    document.getElementById("view").append(note);
     throw error;
   }
 }

@@ -1,8 +1,8 @@
 // The replay page: the view fills the window, the torque is plotted above the slider.
 start((data) => {
-  let plot;
-  const player = new Player(data, (time) => plot?.draw(time));
-  plot = new TorquePlot(document.getElementById("plot"), data, player.phases, player.peak);
+  const phases = phasesOf(data), plot = new TorquePlot(document.getElementById("plot"), data, phases, peakOf(phases, data));
+  plot.draw(data.workStart);  // with or without a view
+  const player = new Player(data, (time) => plot.draw(time));
   const seek = (event) => {
     if (event.buttons & 1) player.seek(plot.timeAt(event.clientX));
   };

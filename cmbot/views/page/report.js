@@ -1,8 +1,13 @@
 // The report page: plots beside the view, all at one time; for the printer the view becomes stills.
 start((data) => {
   const charts = [], large = [];
-  let player;
-  const seek = (time) => player.seek(time);
+  let player, now = data.workStart;
+  const show = (time) => {
+    now = time;
+    for (const chart of charts) chart.show(time);
+  };
+  // Without a view there is no player, but there are plots.
+  const seek = (time) => (player ? player.seek(time) : show(time));
 
   for (const spec of data.charts) {
     const chart = new Chart(spec, data, seek);
@@ -59,7 +64,7 @@ start((data) => {
     place.append(close, ...large.map((chart) => chart.figure));
     charts.push(...large);
     for (const chart of large) chart.draw();
-    player.seek(player.time);
+    seek(now);
     place.scrollIntoView({ block: "nearest" });
   }
 
@@ -74,14 +79,13 @@ start((data) => {
   window.addEventListener("scroll", fitView, { passive: true });
   window.addEventListener("resize", fitView);
 
-  player = new Player(data, (time) => charts.forEach((chart) => chart.show(time)));
   const drawAll = () => charts.forEach((chart) => chart.draw());
   let width = 0;
   new ResizeObserver(([entry]) => {
     if (Math.abs(entry.contentRect.width - width) < 1) return;
     width = entry.contentRect.width;
     drawAll();
-    player.seek(player.time);
+    seek(now);
   }).observe(document.getElementById("plots"));
 
   const zoom = document.getElementById("zoom");
@@ -92,6 +96,7 @@ start((data) => {
     }
   });
 
+  player = new Player(data, show);
   player.stage.scrollWithWheel();
 
   // On a phone the verdicts are folded to their first sentence: figures and view come soon.
@@ -101,7 +106,7 @@ start((data) => {
   // On paper, pictures and plots have fixed sizes, px, whatever the window.
   const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;
   window.addEventListener("beforeprint", () => {
-    const now = player.time, stills = document.getElementById("stills");
+    const before = now, stills = document.getElementById("stills");
     const { legTimes, workStart, workEnd } = data;
     const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [workStart, (workStart + workEnd) / 2, workEnd];
     player.pause();
@@ -117,7 +122,7 @@ start((data) => {
       return figure;
     }));
     giveBack();
-    player.seek(now);
+    player.seek(before);
   });
   window.addEventListener("afterprint", drawAll);
   player.downloads = new Downloads(player);
