@@ -26,7 +26,8 @@ _COMPENSATED_CAPTION = (
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
 _WITHOUT_VIBRATION = "Without sag and vibration."
-_NOT_SIMULATED = "not simulated"
+# Why free moves have no curves.
+_NOT_SIMULATED, _NO_TOOL_PATH = "not simulated", "no tool path"
 # What the quantities of joints that slide are called.
 _SLIDING_NAMES = {"angle": "position", "torque": "force"}
 
@@ -84,7 +85,7 @@ class Chart:
     marks: tuple[tuple[float, str], ...] = ()  # levels with their names
     note: str = ""  # explanation below the title
     work: tuple[float, float | None] = (0.0, None)  # when it begins, s, and ends, where what follows is shown
-    free: str = ""  # why the free moves have no curves
+    free: str = ""  # why free moves have no curves, where they have none
 
     def scaled_to_plan(self, least: float = 0.0) -> Chart:
         """Return it with an axis that the planned motion decides, where the baseline goes far beyond.
@@ -310,7 +311,7 @@ def _tool_deviation(plan: Plan) -> Chart:
         curve for curve in _curves(plan, deviation_of, free=False) if not bent or curve.motion == "planned"
     )
     chart = deviation_chart(plan, (*each, *thin))
-    return replace(chart, note=_expected(plan), free="no tool path").with_clipped()
+    return replace(chart, note=_expected(plan), free=_NO_TOOL_PATH).with_clipped()
 
 
 def _expected(plan: Plan) -> str:
@@ -362,7 +363,7 @@ def _off_path(tracking: Tracking, begin: float) -> Chart:
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
         note="To the nearest point of the leg at that time: elastic deflection and joint motion together.",
-        free=_NOT_SIMULATED,
+        free=_NO_TOOL_PATH,
     )
 
 

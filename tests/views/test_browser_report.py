@@ -103,7 +103,8 @@ def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> No
     })"""
     said = shown.execute_script(words)
     assert len(said) == 5
-    assert all({"approach", "not simulated"} <= set(texts) for texts in said)
+    whys = 3 * ["not simulated"] + ["no tool path", "not simulated"]
+    assert all({"approach", why} <= set(texts) for texts, why in zip(said, whys, strict=True))
     elsewhere = shown.execute_script(words.replace("tracking", "torque"))
     assert "approach" in elsewhere[0]
     assert "not simulated" not in elsewhere[0]
@@ -608,3 +609,19 @@ def test_without_webgl_the_plots_are_drawn_and_follow(chrome: Chrome, report_fil
         assert (cursors(chrome) != before).all()
         chrome.execute_script("document.querySelector('.joint').click()")
         assert len(ask(chrome, drawn)) > len(with_view)
+
+
+def test_a_free_move_that_was_simulated_is_not_said_not_to_be(
+    chrome: Chrome, strokes_plan: Plan, strokes_tracking: Tracking, tmp_path: Path
+) -> None:
+    """Approach and return are not; between the strokes there is a sag, but no path to be off."""
+    path = tmp_path / "strokes.html"
+    report(strokes_plan, path, tracking=strokes_tracking)
+    words = """return [...document.querySelectorAll("#charts-tracking svg")].map((svg) => {
+        const texts = [...svg.querySelectorAll("text")].map((text) => text.textContent);
+        return ["not simulated", "no tool path"].map((why) => texts.filter((text) => text === why).length);
+    })"""
+    with screen(chrome, width=3600):  # with room for the words
+        open_page(chrome, path)
+        said = chrome.execute_script(words)
+    assert (said[0], said[3], said[4]) == ([2, 0], [0, 3], [2, 0])

@@ -220,10 +220,11 @@ class Chart {
     for (const move of free) this.nameFreeMove(svg, ...move);
   }
 
-  // A free move's name and, below it, why it has no curve.
+  // A free move's name and, below it, why it has no curve, where it has none.
   nameFreeMove(svg, name, from, to) {
     const x = this.x(from) + 5, y = this.height - this.inset.bottom - 5, room = this.x(to) - x;
-    const lines = [this.spec.free, name].filter((words) => words && 6.2 * words.length < room);
+    const why = this.curves.some((curve) => curve.at((from + to) / 2) !== null) ? "" : this.spec.free;
+    const lines = [why, name].filter((words) => words && 6.2 * words.length < room);
     lines.forEach((words, k) => make("text", { class: "tick", x, y: y - 14 * k }, svg, words));
   }
 
