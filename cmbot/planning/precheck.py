@@ -450,11 +450,14 @@ def _too_short(stroke: Stroke, robot: Robot) -> Iterator[Finding]:
     path = stroke.path
     length, seconds = float(path.lengths.sum()), float(path.duration)
     if not path.open_legs and seconds < (least := robot.least_seconds(length)):
-        key = stroke.leg_key(0) if len(path.lengths) == 1 and stroke.file.legs else stroke.key
-        speed = "speed_m_s" if stroke.asked_speed(0) is not None else "seconds"
+        # The fastest leg's, unless what is blended has one time for all.
+        fastest = int(np.argmax(path.lengths / path.seconds))
+        key = stroke.leg_key(fastest) if stroke.file.legs else stroke.key
+        if key != f"{stroke.key}.legs":
+            key += ".seconds" if stroke.asked_speed(fastest) is None else ".speed_m_s"
         got = f"{length:.3g} m in {seconds:.3g} s"
         expected = f"seconds: auto; in less than {_rounded_up(least)} s no arm of this reach keeps its limits"
-        yield Finding(severity="error", key=f"{key}.{speed}", got=got, expected=expected)
+        yield Finding(severity="error", key=key, got=got, expected=expected)
 
 
 def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:

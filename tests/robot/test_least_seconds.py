@@ -44,3 +44,26 @@ def test_seconds_that_no_motion_keeps_are_refused_before_any_search() -> None:
         plan(hasty)
     (found,) = (each for each in precheck_scene(hasty).warnings if each.key.endswith("seconds"))
     assert found.got == "0.9 m in 0.4 s"
+
+
+@pytest.mark.parametrize(
+    ("path", "key"),
+    [
+        (
+            {
+                "legs": [
+                    {"by": [0, -0.4, 0], "speed_m_s": 9},
+                    {"pause": 0.01},
+                    {"by": [0, 0.5, 0], "speed_m_s": 90},
+                ]
+            },
+            "tool_path.legs[2].speed_m_s",
+        ),
+        ({"legs": [{"by": [0, -0.9, 0], "seconds": 0.4}], "blend_radius_m": 0.01}, "tool_path.legs"),
+    ],
+)
+def test_the_fastest_leg_is_named_by_a_key_that_is_in_the_file(path: dict[str, object], key: str) -> None:
+    (found,) = (
+        each for each in precheck_scene(short_scene(tool_path=path)).warnings if "no arm of" in each.expected
+    )
+    assert found.key == key
