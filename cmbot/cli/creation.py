@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -111,7 +111,7 @@ class NewCommand(Writing):
         for file in (*others, scene_file):
             cmbot.archive.write_file(file, made.files[file].encode())
         written = [scene_file, *others]
-        remarks = [*made.robot.remarks, *made.remarks]
+        remarks = [*self._mistaken(), *made.robot.remarks, *made.remarks]
         self.answer(
             lambda: {"files": [str(file) for file in written], "remarks": remarks},
             lambda: _print_new(made, remarks, written, shipped=source == _SHIPPED_ROBOT),
@@ -129,6 +129,13 @@ class NewCommand(Writing):
         turned = None if rpy is None else np.array(pose((0, 0, 0), np.radians(rpy)))[:3, :3]
         obstacles = _obstacles(str(self.source))
         return cmbot.planning.find_start(robot, obstacles, np.array(tool_at), turned, near)
+
+    def _mistaken(self) -> Iterator[str]:
+        """Yield a warning of angles that look as if they were radians."""
+        import numpy as np
+
+        if self.rpy_deg is not None and cmbot.planning.in_radians(np.abs(self.rpy_deg)):
+            yield "warning: --rpy-deg: got numbers that look like radians, expected degrees"
 
     def _require_applicable(self, source: str) -> None:
         """Refuse options that the shipped robot does not need, and folders that are not there."""

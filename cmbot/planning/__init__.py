@@ -118,7 +118,7 @@ from cmbot.planning.workcell.objectives import (
     WrenchObjective as WrenchObjective,
     objective_of as objective_of,
 )
-from cmbot.planning.workcell.units import unit_findings as unit_findings
+from cmbot.planning.workcell.units import in_radians as in_radians, unit_findings as unit_findings
 from cmbot.planning.workcell.workcell import (
     Workcell as Workcell,
     bending_arm as bending_arm,

@@ -347,3 +347,15 @@ def test_a_place_that_was_meant_from_the_base_is_said_in_the_world(here: Path) -
     # Where neither is reached.
     assert refusal(*asked, "9", "0", "0", status=3).endswith(in_world)
     output(*asked, "1", "0.5", "1.3")
+
+
+@pytest.mark.parametrize(("angles", "warned"), [(("3.14159", "0", "0"), True), (("180", "0", "0"), False)])
+def test_angles_that_look_like_radians_are_warned_of(
+    here: Path, angles: tuple[str, ...], warned: bool
+) -> None:
+    assert here.is_dir()
+    out = output(
+        "new", "--from", "ur10", "--tool-at", "0.6", "0.1", "0.5", "--rpy-deg", *angles, "-o", "a.yaml"
+    )
+    told = "warning: --rpy-deg: got numbers that look like radians, expected degrees"
+    assert (told in out.splitlines()) == warned

@@ -50,9 +50,9 @@ _SUSPECTS: tuple[tuple[str, tuple[str, str], Callable[[FloatArray], bool]], ...]
     (
         r"(robot|tool|tool_path|frames)\..*\.rpy_deg",
         ("radians", "degrees"),
-        lambda size: _in_radians(size, 45.0),
+        lambda size: in_radians(size),
     ),
-    (r"tool_path\..*\.(angle|from|to)_deg", ("radians", "degrees"), lambda size: _in_radians(size, 15.0)),
+    (r"tool_path\..*\.(angle|from|to)_deg", ("radians", "degrees"), lambda size: in_radians(size, 15.0)),
     (r"tool\.fixed\.xyz", ("millimetres", "metres"), lambda size: size.max() > _VAST),
     (r"uncertainty\.(foot|workpiece)\.mm", ("metres", "mm"), lambda size: 0 < size.max() <= _NO_BASE_MM),
 )
@@ -100,8 +100,8 @@ def _is_uneven_turn(size: FloatArray) -> bool:
     return bool(0.5 < size.max() <= _TURN and (np.abs(size - size.round()) > 1e-6).sum() >= 2)
 
 
-def _in_radians(size: FloatArray, whole: float) -> bool:
-    """Whether all angles but zero are multiples of so many degrees if they are radians, a turn at most."""
+def in_radians(size: FloatArray, whole: float = 45.0) -> bool:
+    """Return whether angles but 0 are multiples of so many degrees if they are radians, a turn at most."""
     angles = np.degrees(size[size > 0])
     times = np.round(angles / whole)
     off = np.abs(angles - whole * times)
