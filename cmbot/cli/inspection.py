@@ -81,9 +81,10 @@ class CheckCommand(Reporting):
                 expected = f"robot.{name} in the scene, or a URDF to check"
                 raise InputError(flag, "", "a scene to check", expected)
         require_folders(self.package_dir)
-        findings, found, conclusion = (
-            _check_urdf(file, foreign) if is_urdf else _check_scene(file, self.changes)
-        )
+        if is_urdf:
+            findings, found, conclusion = _check_urdf(file, foreign, advise=self.write_srdf is None)
+        else:
+            findings, found, conclusion = _check_scene(file, self.changes)
         if self.write_srdf is not None:
             _require_new(self.write_srdf, is_urdf)
         usable = not _errors(findings)
@@ -145,8 +146,10 @@ def _write_srdf(file: str, path: Path, foreign: Mapping[str, Any]) -> str:
     return f"{path}: {len(reasons)} pairs of links ({numbers})"
 
 
-def _check_urdf(file: str, foreign: Mapping[str, Any]) -> tuple[Sequence[Finding], dict[str, str], str]:
-    """Findings, what is in the file, and the conclusion."""
+def _check_urdf(
+    file: str, foreign: Mapping[str, Any], *, advise: bool
+) -> tuple[Sequence[Finding], dict[str, str], str]:
+    """Findings, what is in the file, and the conclusion, which may advise to write an SRDF."""
     from cmbot.common.reading.validation import counted
 
     files, robot, found = cmbot.robot.robot_files(file, **foreign), cmbot.robot, {}
@@ -157,7 +160,7 @@ def _check_urdf(file: str, foreign: Mapping[str, Any]) -> tuple[Sequence[Finding
     errors = _errors(findings)
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     conclusion += f", {counted(len(findings) - errors, 'warning')}."
-    if files.srdf is None and not errors:
+    if advise and files.srdf is None and not errors:
         conclusion += f" cmbot check {one_line(file)} --write-srdf FILE writes an SRDF."
     return findings, found, conclusion
 

@@ -249,6 +249,7 @@ def test_an_srdf_is_written_once(here: Path) -> None:
     (here / "arm.urdf").write_text(ARM, encoding="utf-8")
     out = output("check", "arm.urdf", "--write-srdf", "arm.srdf")
     assert "arm.srdf: 3 pairs of links (2 Adjacent, 0 Always, 1 Never)" in out
+    assert "--write-srdf" not in out
     pairs = [dict(pair.attrib) for pair in ElementTree.parse(here / "arm.srdf").getroot()]
     assert pairs[1] == {"link1": "a", "link2": "base", "reason": "Adjacent"}
     state = '<group_state name="stow" group="arm"><joint name="j" value="1" /></group_state>'
