@@ -232,7 +232,7 @@ def _finer_gauge(sheet: Measurements) -> str:
 def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
     """Yield of records along known axes file, key, angle of their rest to gravity, deg, and what would fit.
 
-    The angle of a record without gravity is NaN.
+    The angle of a record without gravity is NaN; in place of what would fit is then what it lacks.
     """
     rows = [(sheet, row) for sheet in found.measurements for row in range(len(sheet.q))]
     R_WT = Kinematics(found.modelled.robot).tool_poses(np.array([sheet.q[row] for sheet, row in rows]))[1]
@@ -240,11 +240,12 @@ def _rests(found: Identification) -> Iterator[tuple[str, str, float, str]]:
     along = {"tool": up @ R_WT, "W": np.tile(up, (len(rows), 1))}
     for number, (sheet, row) in enumerate(rows):
         axes, modes = sheet.setup.record_axes, sheet.modes[row : row + 1]
-        if axes is None or not modes or not len(modes[0].frequencies):
+        if axes is None or not modes or not modes[0].source:
             continue
         size, key = float(np.linalg.norm(modes[0].rest)), sheet.key(row, "record")
         if not any(abs(size / g - 1) < _GRAVITY_SHARE for g in _GRAVITY):
-            yield sheet.source, key, np.nan, ""
+            without = " and ".join(np.array([*"xyz"])[np.isnan(modes[0].rest)])
+            yield sheet.source, key, np.nan, f" (no column of {without})" * bool(without)
             continue
         gravity, rest, other = along[axes][number], modes[0].rest / size, "W" if axes == "tool" else "tool"
         tried = [(f"with record_axes: {other} it fits", rest @ along[other][number])]
@@ -279,7 +280,7 @@ def _misfits(found: Identification) -> Iterator[str]:
         if off > _MOST_OFF_DEG:
             away = f"its mean is {off:.0f} deg away from gravity along its record_axes"
             yield f"{source}: {key}: {away}; {fits}."
-    if still := [f"{source}: {key}" for source, key, off, _ in rests if np.isnan(off)]:
+    if still := [f"{source}: {key}{lacks}" for source, key, off, lacks in rests if np.isnan(off)]:
         yield f"Without gravity along x, y and z in it, axes and posture are as stated: {', '.join(still)}."
     for part in found.parts:
         if part.scale == 1.0:

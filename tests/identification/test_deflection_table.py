@@ -389,3 +389,16 @@ def test_radians_under_the_names_of_degrees_are_told(scene: str, tmp_path: Path)
     file = table(tmp_path, f"{JOINTS.replace('_deg', '')},weight_kg,dx,dy,dz", cells)
     (read,) = read_deflections(file, "panda_sanding")
     np.testing.assert_array_equal(read.q[0], [0.5, 0.4, -0.5, -0.8, 0.3, 1.6, 0.2])
+
+
+def test_the_axis_that_a_record_lacks_is_named(scene: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    slowest = float(arm_modes(measured_arm(short_scene()), POSTURE).frequencies[0])
+    tap = oscillations([(slowest, 0.02, (0.1, 0.1, 0.1))], 1e-3, rng)
+    write(tmp_path / "tap.csv", tap)
+    lines = (tmp_path / "tap.csv").read_text(encoding="utf-8").splitlines()
+    two = [line.rpartition(",")[0] for line in lines]
+    (tmp_path / "tap.csv").write_text("\n".join(two), encoding="utf-8")
+    path = table(tmp_path, f"{JOINTS},record,record_axes", row("tap.csv", "tool"))
+    outcome = run("identify", scene, "--table", path)
+    assert outcome.status == 0, outcome.err
+    assert "as stated: t.csv: line 2, record (no column of z)." in outcome.out.replace(f"{tmp_path}/", "")
