@@ -103,7 +103,8 @@ def precheck_scene(scene: Scene) -> Precheck:
     # They may explain the others.
     first = "".join(f"; first see {each.key}, {each.got}" for each in units[:1])
     blocked = (replace(each, expected=f"{each.expected}{first}") for each in without_posture(scene))
-    warnings += [*blocked, *_blocked_feet(scene)]
+    with lines_named(scene.source):
+        warnings += [*blocked, *_blocked_feet(scene)]
     for stroke in strokes:
         warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)]
         warnings += [] if any(beyond_reach(stroke, robot)) else _too_short(stroke, robot)

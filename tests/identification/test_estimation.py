@@ -375,8 +375,14 @@ def test_an_identified_stiffness_belongs_to_its_robot_and_place(
         scene_with(without, tmp_path, guardrail={"mass": np.eye(6).tolist()})
     scene = scene_with(without, tmp_path)
     arm = elastic_arm(robot_of(scene), elastic_base(scene.elastic_guardrail))
-    with pytest.raises(SceneError, match="expected what bends in this scene, in this order: link_1"):
+    other = (
+        r"identified: got .* \(measured by .*\), expected what bends in this scene, in this order: link_1.*"
+    )
+    with pytest.raises(SceneError, match=f"{other}; the stiffness is that of another robot"):
         covariance_of(scene, arm)
+    with pytest.raises(SceneError) as refused:
+        precheck_scene(scene_with(without, tmp_path, guardrail={"bays": 1}))
+    assert refused.value.line == 1
     with pytest.raises(SceneError, match="identified: got an identified stiffness, expected a scene without"):
         measured_arm(scene)
 

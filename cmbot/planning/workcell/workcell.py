@@ -537,6 +537,8 @@ def covariance_of(scene: Scene, arm: ElasticArm) -> FloatArray | None:
     if parameters.springs != identified.springs or parameters.has_base != (identified.base is not None):
         wanted = [name for _, name in parameters.springs] + ["base"] * parameters.has_base
         got = [name for _, name in identified.springs] + ["base"] * (identified.base is not None)
-        expected = f"what bends in this scene, in this order: {', '.join(wanted)}"
-        raise SceneError(scene.source, "identified", ", ".join(got), expected)
+        by = identified.measured and f" (measured by {', '.join(identified.measured.sheets)})"
+        order = f"what bends in this scene, in this order: {', '.join(wanted)}"
+        expected = f"{order}; the stiffness is that of another robot, or on another base"
+        raise SceneError(scene.source, "identified", f"{', '.join(got)}{by or ''}", expected)
     return np.asarray(identified.covariance_matrix)
