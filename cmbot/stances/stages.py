@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -163,10 +164,9 @@ class Judge:
             deadline = Deadline(limit, whole=whole, name="this stance")
             options = replace(placed.planner, time_limit_s=limit)
             # First what takes a tenth of a plan's time.
-            if result.own:
-                scene: Scene | Rejection = reached_scene(placed, options, deadline)
-            else:
-                scene = self._reached(placed, deadline)
+            scene: Scene | Rejection = (
+                reached_scene(placed, options, deadline) if result.own else self._reached(placed, deadline)
+            )
             if isinstance(scene, Rejection):
                 return result.rejected("plan", scene)
             made = plan_candidate(scene, options, deadline, wanted=result.own)
@@ -187,7 +187,8 @@ class Judge:
         No stance leaves out more than the scene's own.
         """
         scene = reached_scene(placed, placed.planner, deadline)
-        if (left_out := unreached_area(scene)) <= self._own_unreached * (1 + _SAME_AREA):
+        left_out = unreached_area(scene)
+        if not left_out or left_out <= self._own_unreached * (1 + _SAME_AREA):
             return scene
         why = "of the rasters are not reached"
         return Rejection(kind="failed", reason=f"{left_out:.3g} m2 {why}", cause=f"parts {why}")
@@ -198,13 +199,12 @@ class Judge:
 
         Where its feet hold nothing there, what it would not reach if they did.
         """
-        scene = self.as_it_is
-        for held in (scene, scene.changed(guardrail=scene.guardrail.changed(hold=None))):
-            try:
-                deadline = Deadline(scene.planner.time_limit_s)
-                return unreached_area(reached_scene(held, scene.planner, deadline))
-            except CmbotError:
-                continue
+        scene, limit = self.as_it_is, self.as_it_is.planner.time_limit_s
+        for as_welded in (False, True):
+            # A scene may need feet, as for objective: hold.
+            with suppress(CmbotError):
+                held = scene.changed(guardrail=scene.guardrail.changed(hold=None)) if as_welded else scene
+                return unreached_area(reached_scene(held, scene.planner, Deadline(limit)))
         return 0.0
 
     def _placed(self, result: StanceResult) -> Scene:
