@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.records import require_same
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
@@ -23,10 +22,11 @@ from cmbot.planning import (
     build_request,
     reached_scene,
     robot_of,
+    strokes_of,
     with_cuts,
 )
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, StrokeFile, allowed_cuts, pieces_left_out
+from cmbot.scene import PlannerOptions, Scene, Stroke, StrokeFile, allowed_cuts, pieces_left_out
 from cmbot.toolpath import AUTO, RowPiece
 
 # When an option promises less than another value of it would; those that say what is sought promise another
@@ -237,9 +237,8 @@ def require_done(plan: Plan, asked: Scene | None, options: PlannerOptions, sourc
     require_still(plan, options, source)
     if asked is None:
         return
-    X_WT = Kinematics(plan.robot).tool_pose(np.array(asked.posture)).homogeneous
-    own = _left_away(plan.scene, X_WT)
-    reached = _left_away(reached_scene(asked, options), X_WT) if own else {}
+    own = _left_away(plan.asked_strokes)
+    reached = _left_away(strokes_of(reached_scene(asked, options), plan.robot)) if own else {}
     for name, away in own.items():
         if away > (1 + _SAME_CUT) * reached.get(name, 0.0) + _TOUCHING_M:
             got = f"{1e3 * away:.4g} mm of the rows of {name} left away, and their overscan"
@@ -247,10 +246,10 @@ def require_done(plan: Plan, asked: Scene | None, options: PlannerOptions, sourc
             raise ArchiveError(source, "rows", got, expected)
 
 
-def _left_away(scene: Scene, X_WT: FloatArray) -> dict[str, float]:
+def _left_away(strokes: Sequence[Stroke]) -> dict[str, float]:
     """How much of the rows of each raster is left away, m."""
     away = dict[str, float]()
-    for file, piece in pieces_left_out(scene.timed_strokes(X_WT)):
+    for file, piece in pieces_left_out(strokes):
         name = str(file.part_of or file.name)
         away[name] = away.get(name, 0.0) + piece.length
     return away
