@@ -146,13 +146,23 @@ class Contact(ShortRepr):
         whole = self.gap(load[:, 2:4])[0]
         upright = whole if gap == "none" else self.tip(load[:, 2:4])[0]
         good = np.maximum(np.hypot(load[:, 0], load[:, 1]) / friction, upright) <= pressed
-        good[good] = self._turning(load[good], friction, pressed[good], whole[good])[0] == 0
+        left = load[good], friction, pressed[good], whole[good]
+        good[good] = self._turning(*left, only_whether=True)[0] == 0
         return np.asarray(good)
 
     def _turning(
-        self, load: FloatArray, friction: float, least: FloatArray, whole: FloatArray
+        self,
+        load: FloatArray,
+        friction: float,
+        least: FloatArray,
+        whole: FloatArray,
+        *,
+        only_whether: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
-        """P (N,) at which it slips, zero where that is below `least`, and its gradients (N, 5)."""
+        """P (N,) at which it slips, zero where that is below `least`, and its gradients (N, 5).
+
+        With `only_whether` it may be infinite where it is not below.
+        """
         tables = _tables(self)
         unit = tables.unit(friction)
         scaled, tips = load / unit, load[:, 2:4] @ tables.edges.T
@@ -165,8 +175,9 @@ class Contact(ShortRepr):
             return force, gradient
         scaled, least, whole, sides = scaled[left], least[left], whole[left], tables.sides[edge[left]]
         sure = tables.sure(scaled, least, np.maximum(least, whole))
+        slips, moment = scaled[:, [0, 1, 4]], scaled[:, 2:4]
         found = Slipping(
-            tables.friction, scaled[:, [0, 1, 4]], scaled[:, 2:4], least, whole, tip[left], sides, sure
+            *(tables.friction, slips, moment, least, whole, tip[left], sides, sure), only_whether=only_whether
         )
         force[left], gradient[left] = found.force, found.gradient / unit
         return force, gradient

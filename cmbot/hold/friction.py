@@ -17,7 +17,7 @@ Points and vectors in the plane are complex numbers here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,9 @@ _LEAST_TURNING = 1e-2
 _TILTS, _WAYS = 12, 24
 # Newton's steps at most where all of a contact is pressed, and the share of the force that the last may gain.
 _STEPS, _WEAKEST = 12, 1e-13
+# Where the centre of pressure is within this share of the way to the edge, more force mostly holds more:
+# whether the least does is asked first.
+_STEADY_SHARE = 0.5
 # From this change of the distance to the hull's edge on what is pressed shrinks in proportion to it.
 _LARGE_STEP = 0.1
 _TINY = 1e-12
@@ -232,11 +235,13 @@ class Slipping:
         The corners between which it tips.
     sure : (N,)
         Forces from which on each is known to be enough, no less than the least; infinite where none is.
+    only_whether : bool
+        Of a least force that is not enough it is only found that it is not, which is quicker.
 
     Attributes
     ----------
     force : (N,)
-        That is enough; zero where the least is.
+        That is enough; zero where the least is. With `only_whether` it may be infinite.
     gradient : (N, 6)
         By friction, moments and torsion.
     """
@@ -251,50 +256,89 @@ class Slipping:
         tip: FloatArray,
         ends: FloatArray,
         sure: FloatArray,
+        *,
+        only_whether: bool = False,
     ) -> None:
         self._tip, self._ends = tip, ends
         self._friction, self._moment, self._least, N = friction, moment, least, len(slips)
         self.force, self.gradient = np.zeros(N), np.zeros((N, 5))
-        self._trial = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
         self._low, self._high, self._slope = np.zeros(N), np.full(N, np.inf), np.zeros(N)
         self._shallow = np.zeros(N, dtype=bool)
-        self._moments = np.broadcast_to(friction.whole, (N, 3, 3)).copy()
-        self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
         needed, which = friction.least(np.hstack([slips, moment]))
         motion = friction.motions[which]
         motion = np.where((motion * slips).sum(axis=1)[:, None] > 0, motion, slips)
-        self._motion = motion / np.maximum((motion * slips).sum(axis=1), 1e-300)[:, None]
-        self._motion_step, self._work = np.zeros((N, 3)), np.full(N, np.inf)
+        self._weakest = motion / np.maximum((motion * slips).sum(axis=1), 1e-300)[:, None]
         # Two directions in which a load does no work.
         first = np.cross(slips, np.eye(3)[np.abs(slips).argmin(axis=1)])
         size = np.maximum(np.linalg.norm(slips, axis=1), 1e-300)[:, None]
         first /= np.maximum(np.linalg.norm(first, axis=1), 1e-300)[:, None]
         self._free = np.stack([first, np.cross(slips, first) / size], axis=2) / size[:, :, None]
-        everywhere = np.flatnonzero(needed > self._trial)
-        self._trial = np.minimum(self._trial, sure)
-        goal = np.column_stack([np.ones(N), moment / np.maximum(self._trial, 1e-300)[:, None]])
-        self._pressure = goal @ friction.from_goal
+        top = np.max([whole, least, 0.1 * np.abs(slips).max(axis=1)], axis=0)
+        everywhere = np.flatnonzero(needed > top)
         self._press_all(everywhere, needed[everywhere])
-        rows, balanced = np.flatnonzero((self.force == 0) & slips.any(axis=1)), np.ones(N, dtype=bool)
+        rows = np.flatnonzero((self.force == 0) & slips.any(axis=1))
+        self._settled, self._only_whether = np.zeros(N, dtype=bool), only_whether
+        self._begin(least)
+        self._passed(rows[tip[rows] < _STEADY_SHARE * least[rows]], self._settle, balanced=False)
+        left = rows[~self._settled[rows]]
+        self._begin(np.minimum(top, sure))
+        left = self._passed(left, self._decide, balanced=True)
+        # Where rounding hides the least: a force that is known to be enough.
+        self.force[left] = self._high[left]
+
+    def _begin(self, force: FloatArray) -> None:
+        """Try these forces (N,) next, from what counts where all of the contact is pressed."""
+        N = len(force)
+        self._motion = self._weakest.copy()
+        goal = np.column_stack([np.ones(N), self._moment / np.maximum(force, 1e-300)[:, None]])
+        self._trial, self._pressure = force.copy(), goal @ self._friction.from_goal
+        self._moments = np.broadcast_to(self._friction.whole, (N, 3, 3)).copy()
+        self._pressure_step, self._energy = np.zeros((N, 3)), np.full(N, np.inf)
+        self._motion_step, self._work = np.zeros((N, 3)), np.full(N, np.inf)
+
+    def _passed(self, rows: IntArray, judge: Callable[[IntArray], BoolArray], *, balanced: bool) -> IntArray:
+        """Take passes until `judge` says of all rows (k,) that they are done; return those that are not.
+
+        It is asked of those whose pressure, and the motion against which friction is weakest, are found.
+        """
+        there = np.full(len(self.force), balanced)
         for _ in range(_PASSES):
             if not len(rows):
                 break
-            off = rows[~balanced[rows]]
-            balanced[off] = self._balance(off)
-            moved = rows[balanced[rows]]
+            off = rows[~there[rows]]
+            there[off] = self._balance(off)
+            moved = rows[there[rows]]
             if len(moved) and len(weakest := moved[self._minimise(moved)]):
-                done = self._decide(weakest)
-                balanced[weakest] = False
+                done = judge(weakest)
+                there[weakest] = False
                 rows = np.setdiff1d(rows, weakest[done], assume_unique=True)
-        # Where rounding hides the least: a force that is known to be enough.
-        self.force[rows] = self._high[rows]
+        return rows
+
+    def _settle(self, rows: IntArray) -> BoolArray:
+        """Settle where the least force is enough, and more is, too; all rows are done then.
+
+        With the moments kept, what more force adds to the pressure is linear where something is pressed.
+        Where that is nowhere negative friction grows with the force, and what is pressed does. That it stays
+        so up to where all is pressed is sampled, not proven.
+        """
+        a, b = self._pressure[rows, 0], self._pressure[rows, 1] + 1j * self._pressure[rows, 2]
+        start, end, _ = self._friction._pressed(a, b)
+        more, turned = self._by_force[:, :1], self._by_force[:, 1:]
+        added = [more + turned[:, :1] * at.real + turned[:, 1:] * at.imag for at in (start, end)]
+        least = np.where(start == end, np.inf, np.minimum(*added)).min(axis=1)
+        enough = self._trial[rows] * self._work[rows] >= 1
+        self._settled[rows] = enough & (least >= 0)
+        if self._only_whether:
+            self._settled[rows[~enough]] = True
+            self.force[rows[~enough]] = np.inf
+        return np.ones(len(rows), dtype=bool)
 
     def _press_all(self, rows: IntArray, force: FloatArray) -> None:
         """Find the force of contacts that are pressed all over; `force` (k,) is that of the motions.
 
         The largest (1 - E . g) / g0 of motions that do the work 1, with the work P g0 + E . g.
         """
-        motion, moment, free = self._motion[rows], self._moment[rows], self._free[rows]
+        motion, moment, free = self._weakest[rows], self._moment[rows], self._free[rows]
         for _ in range(_STEPS):
             if not len(rows):
                 break
