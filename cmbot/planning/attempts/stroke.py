@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.planning.attempts.advice import EASED_BOUND, LESS_KEPT, SLOWER_LEGS, changed_in_words
 from cmbot.planning.attempts.agenda import Remedy, Solved, Trial
 from cmbot.planning.attempts.attempt import Attempt, agenda_of
-from cmbot.planning.attempts.failure import Failure, attempted, briefly
+from cmbot.planning.attempts.failure import Failure, NoWay, attempted, briefly
 from cmbot.planning.attempts.motion import StrokeMotion, certified_motion, is_better, peak_of, with_way
 from cmbot.planning.attempts.remedies import REMEDIES, WAYS
 from cmbot.planning.budget import (
@@ -92,6 +92,10 @@ def plan_stroke(request: StrokeRequest, *, stays: bool = False) -> PlannedStroke
         if start.chooses_laws and not request.task.path.open_legs:
             # A path to whose start nothing leads is not worth optimising.
             reached = agenda_of(request, with_way, WAYS, Budget(runs=RUNS)).search(start)
+            if isinstance(reached.outcome, NoWay):
+                # A motion would seek the same ways.
+                trial = Trial(attempt=reached.attempt, outcome=reached.outcome, parent=reached.parent)
+                continue
             if isinstance(reached.outcome, Solved):
                 quiet, parent = reached.result.quiet(), reached
         trial = searched_motion(quiet, budget, parent)

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from quiet import quiet_scene
 from small_scenes import SHORT
+from state_samples import FloatArray
 
 from cmbot import OptimisationFailed, Plan, load_scene, plan
 from cmbot.elastic.modes import arm_modes
 from cmbot.planning import bending_arm
 from cmbot.planning.attempts.agenda import Trial
 from cmbot.planning.attempts.attempt import Attempt
+from cmbot.planning.attempts.failure import NoWay
 from cmbot.planning.attempts.stroke import plan_stroke
 from cmbot.planning.initial_guess import InitialGuess
 from cmbot.planning.request import StrokeRequest, build_request
@@ -151,6 +153,23 @@ def test_no_laws_are_chosen_along_a_path_to_whose_start_nothing_leads(
     (call,) = refused.call_args_list
     start = call.args[0].parametrization.via_points[0]
     assert (np.abs(start - request.state.posture).max() > 0.01) == leads
+
+
+def test_no_way_is_sought_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing leads to the work by the laws of the guess, nothing does by laws that are chosen."""
+    ends = list[tuple[float, ...]]()
+
+    def fails(asked: StrokeRequest, end: FloatArray, *_: object, **__: object) -> None:
+        ends.append(tuple(end))
+        raise asked.path_not_found("no collision-free approach was found", asked.state.posture)
+
+    monkeypatch.setattr("cmbot.planning.attempts.motion.approach_way", fails)
+    monkeypatch.setattr("cmbot.planning.attempts.remedies.joined_starts", lambda *_: iter(()))
+    path = SHORT["tool_path"] | {"speed_profile": {"kind": "quiet"}}
+    scene = load_scene(SHORT | {"tool_path": path, "start": {"stow": True}, "planner": {"knots": "sliding"}})
+    planned = plan_stroke(build_request(scene, scene.planner, None))
+    assert isinstance(planned.trial.outcome, NoWay)
+    assert len(ends) == len(set(ends)) > 0
 
 
 def test_what_laws_are_chosen_along_is_what_is_planned_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
