@@ -41,6 +41,7 @@ _STEPS, _WEAKEST = 12, 1e-13
 # Where the centre of pressure is within this share of the way to the edge, more force mostly holds more:
 # whether the least does is asked first.
 _STEADY_SHARE = 0.5
+_LEAST_SHARE, _STUCK, _HIDDEN = 0.1, 1e-10, 1e-6
 # From this change of the distance to the hull's edge on what is pressed shrinks in proportion to it.
 _LARGE_STEP = 0.1
 _TINY = 1e-12
@@ -266,7 +267,9 @@ class Slipping:
         self._shallow = np.zeros(N, dtype=bool)
         needed, which = friction.least(np.hstack([slips, moment]))
         motion = friction.motions[which]
-        motion = np.where((motion * slips).sum(axis=1)[:, None] > 0, motion, slips)
+        does = (motion * slips).sum(axis=1) > _LEAST_SHARE * np.linalg.norm(slips, axis=1)
+        # Against which the load hardly works it says nothing, and steps from there lead nowhere.
+        motion = np.where(does[:, None], motion, slips)
         self._weakest = motion / np.maximum((motion * slips).sum(axis=1), 1e-300)[:, None]
         # Two directions in which a load does no work.
         first = np.cross(slips, np.eye(3)[np.abs(slips).argmin(axis=1)])
@@ -277,12 +280,16 @@ class Slipping:
         everywhere = np.flatnonzero(needed > top)
         self._press_all(everywhere, needed[everywhere])
         rows = np.flatnonzero((self.force == 0) & slips.any(axis=1))
-        self._settled, self._only_whether = np.zeros(N, dtype=bool), only_whether
+        self._hidden, self._settled, self._only_whether = 0.0, np.zeros(N, dtype=bool), only_whether
         self._begin(least)
         self._passed(rows[tip[rows] < _STEADY_SHARE * least[rows]], self._settle, balanced=False)
         left = rows[~self._settled[rows]]
         self._begin(np.minimum(top, sure))
         left = self._passed(left, self._decide, balanced=True)
+        # Of centres far away the work is a small difference, and rounding hides what steps gain.
+        self._hidden = _HIDDEN
+        hidden = self._passed(left[np.isinf(self._high[left])], self._decide, balanced=True)
+        left = np.union1d(left[np.isfinite(self._high[left])], hidden)
         # Where rounding hides the least: a force that is known to be enough.
         self.force[left] = self._high[left]
 
@@ -382,11 +389,13 @@ class Slipping:
         work, slope, curved, distance = self._friction.work(self._pressure[rows], motion)
         step, gain = _newton_step(self._free[rows], slope, curved)
         lower = (work <= self._work[rows]) | (gain < _LEAST_WORK * work)
+        stuck = ~lower & (gain < self._hidden * work)
+        stuck &= np.abs(self._motion_step[rows]).max(axis=1) < _STUCK * np.abs(motion).max(axis=1)
         self._motion_step[rows] = np.where(lower[:, None], step, 0.3 * self._motion_step[rows])
         taken = rows[lower]
         self._motion[taken], self._work[taken] = motion[lower], work[lower]
         sure = np.maximum(_LEAST_WORK * work, _SURE * np.abs(work - 1 / self._trial[rows]))
-        there = lower & (gain < sure)
+        there = lower & (gain < sure) | stuck
         if there.any():
             solved = np.array([distance[there], np.broadcast_to([1.0, 0, 0], (int(there.sum()), 3))])
             by = np.linalg.solve(self._moments[rows[there]], np.moveaxis(solved, 0, 2))

@@ -189,6 +189,23 @@ def test_a_contact_bears_what_is_pressed_by_more_than_slips(
         assert (plate.bears(load, factor * exact, 0.3, "allowed") == (factor > 1)).all()
 
 
+@pytest.mark.parametrize("pads", ["three discs", "far and narrow"])
+def test_what_hardly_slips_or_hardly_turns_needs_an_end(pads: str, rng: np.random.Generator) -> None:
+    """Loads that mostly tip, and slides that mostly do not turn: searches begin or end far from those."""
+    if pads == "far and narrow":
+        region = shapely.union_all([shapely.box(x, -0.056, x + 0.12, 0.056) for x in (-2.0, 1.88)])
+        load = rng.normal(size=(3000, 5)) * [1, 1, 1e-3, 1e-3, 0] + 1e-13 * rng.normal(size=(3000, 5))
+    else:
+        discs = [shapely.Point(at).buffer(0.05) for at in ((0.25, 0), (-0.2, 0.2), (-0.2, -0.2))]
+        region = shapely.union_all(discs)
+        load = np.array([[-0.3434, 0, 39.9011, -5e-15, -1e-17], [0, 1e-3, 0, 1, 0], [1e-9, 0, 1, 1, 1e-12]])
+    contact = Contact.of(region)[0]
+    exact = np.maximum(contact.slip(load, 0.4, "allowed")[0], contact.tip(load[:, 2:4])[0])
+    assert np.isfinite(exact).all()
+    for factor in (0.999, 1.01, 3.0):
+        assert (contact.bears(load, factor * exact, 0.4, "allowed") == (factor > 1)).all()
+
+
 def test_the_estimate_without_a_gap_is_a_little_too_low(several: Contact, rng: np.random.Generator) -> None:
     load = rng.normal(size=(300, 5)) * [100.0, 100.0, 2.0, 2.0, 10.0]
     exact = several.slip(load, 0.3, "none")[0]
