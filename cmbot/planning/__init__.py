@@ -13,7 +13,10 @@ from cmbot.planning.certification.metrics import (
     figures as figures,
     measure as measure,
 )
-from cmbot.planning.flexibility.sag_compensation import Compensation as Compensation
+from cmbot.planning.flexibility.sag_compensation import (
+    Compensation as Compensation,
+    fixed_knots as fixed_knots,
+)
 from cmbot.planning.free_motion.free_move import (
     FreeMove as FreeMove,
     certify_move as certify_move,
@@ -35,7 +38,6 @@ from cmbot.planning.job import (
 from cmbot.planning.path.first_posture import starting_at_path as starting_at_path
 from cmbot.planning.path.gradient_projection import (
     aside_at_start as aside_at_start,
-    aside_of_path as aside_of_path,
     follow_path as follow_path,
 )
 from cmbot.planning.path.raster_reach import (

@@ -356,8 +356,10 @@ def problem_near(
 
 def guess_along(request: StrokeRequest, guess: InitialGuess, optimised: QuinticTrajectory) -> InitialGuess:
     """Return the guess that goes on from where an optimisation ended; errors as `problem_near`."""
-    ended = replace(guess, optimised=True)
-    return replace(ended, problem=problem_near(request, ended, optimised.q, near=optimised))
+    ended, form = replace(guess, optimised=True), guess.problem.parametrization
+    # Via-points that do not slide are not moved by what a bent arm's were moved by, either.
+    q = form.via_points if form.retraction is None else optimised.q
+    return replace(ended, problem=problem_near(request, ended, q, near=optimised))
 
 
 def searched(

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from plan_folders import changed, edit, promise, rewrite, seal, without_approach
 from raster_scenes import HOLE, raster_scene
-from small_scenes import SHORT, short_scene, strokes_scene
+from small_scenes import SHORT, panda_scene, short_scene, strokes_scene
 from walks import one_step
 
 from cmbot import load_plan
@@ -35,19 +35,28 @@ from cmbot.archive import (
 )
 from cmbot.archive.knots import knots_npz
 from cmbot.archive.verification import exported as exported_files
-from cmbot.archive.verification.asked import looser_promises, other_options, require_asked, require_done
+from cmbot.archive.verification.asked import (
+    looser_promises,
+    other_options,
+    require_asked,
+    require_done,
+    require_fixed,
+)
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import (
+    Job,
     Plan,
     QuinticTrajectory,
     aside_at_start,
     build_request,
+    fixed_knots,
     plan,
     reached_scene,
     robot_of,
 )
 from cmbot.planning.postures.projection import null_space
+from cmbot.planning.torque import parametrization_through
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.stances.walking import walk_csv, walk_data
@@ -873,3 +882,56 @@ def test_fixed_knots_are_those_of_gradient_projection(tmp_path: Path) -> None:
         load_plan(folder, verify=True)
     honest = plan(scene)
     output("verify", save(honest, tmp_path / "honest"), "--scene", words[-1])
+
+
+@pytest.mark.parametrize("bends", [{}, {"robot": {"joints": "elastic"}, "planner": {"compensate": True}}])
+def test_fixed_knots_are_those_of_the_options_asked(bends: dict[str, Any], tmp_path: Path) -> None:
+    """By longer steps, or drawn to another place, the arm takes another path, by 0.1 to 2 mrad."""
+    scene = short_scene(**bends).with_options(baseline="none")
+    request = build_request(scene, scene.planner)
+    for name, changes in enumerate(({}, {"path_step_s": 0.1}, {"centre_of_gravity_weight": 2e-3})):
+        made = plan(scene.with_options(**changes))
+        aside = np.abs(made.trajectory.evaluate(request.times) - fixed_knots(request)).max()
+        told = replace(made.options, **{key: getattr(scene.planner, key) for key in changes})
+        folder = save(replace(made, scene=scene, options=told), tmp_path / str(name))
+        refuses = pytest.raises(ArchiveError, match=r"via-points [\d.e-]+ rad \(or m\) aside, expected those")
+        assert aside < 1e-12 or 5e-5 < aside < 3e-3
+        with refuses if changes else nullcontext():
+            load_plan(folder, verify=True, scene=scene)
+
+
+def test_fixed_knots_are_those_of_the_laws_that_were_chosen(tmp_path: Path) -> None:
+    """Away from an obstacle gradient projection leads elsewhere in another time."""
+    scene = short_scene(
+        robot={"joints": "elastic"},
+        planner={"baseline": "none", "avoidance_distance_m": 0.5, "avoidance_gain": 8},
+        tool_path={"via_points": 12, "speed_profile": {"kind": "quiet"}},
+        obstacles=[{"name": "ball", "sphere": 0.1, "xyz": [1.5, 0.2, -1.2]}],
+    )
+    made = plan(scene)
+    timed, asked = (build_request(each, each.planner) for each in (made.scene, scene))
+    assert np.abs(fixed_knots(timed) - fixed_knots(asked)).max() > 1e-3
+    load_plan(save(made, tmp_path), verify=True, scene=scene)
+
+
+def test_fixed_knots_may_differ_by_what_rounding_does(short_plan: Plan) -> None:
+    """Where avoidance leads apart what begins together, processors end as far apart as that is."""
+    scene = panda_scene(
+        {
+            "legs": [{"by": [0, 0.1, 0], "seconds": 6}, {"by": [0, 0, 0.08], "seconds": 2}],
+            "speed_profile": {"kind": "trapezoidal"},
+            "via_points": 14,
+        },
+        robot={"model": "panda", "base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"},
+        start={"posture_deg": [0, -45, 0, -135, 0, 90, 45]},
+        obstacles=[{"name": "ball", "sphere": 0.05, "xyz": [0.1, -0.3, 0.6]}],
+        planner={"knots": "fixed", "avoidance_gain": 1.0, "avoidance_distance_m": 0.4},
+    )
+    request = build_request(scene, scene.planner)
+    form = parametrization_through(request, fixed_knots(request), sliding=False)
+    (work,) = short_plan.job.strokes
+    for aside, holds in ((1e-5, True), (2e-4, False)):
+        moved = replace(form.trajectory, q=form.trajectory.q + aside)
+        made = replace(short_plan, scene=scene, job=Job(segments=(replace(work, trajectory=moved),)))
+        with nullcontext() if holds else pytest.raises(ArchiveError, match=r"via-points .* aside"):
+            require_fixed(made, scene.planner, "plan.json")

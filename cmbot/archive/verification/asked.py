@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.records import require_same
-from cmbot.common.errors import ArchiveError
+from cmbot.common.errors import ArchiveError, PlanningError
 from cmbot.common.reading.input_files import is_file
 from cmbot.common.reading.validation import counted, plain, shown
 from cmbot.planning import (
+    JobState,
     Plan,
     aside_at_start,
-    aside_of_path,
     build_request,
+    fixed_knots,
     reached_scene,
     robot_of,
     strokes_of,
@@ -44,8 +45,9 @@ _LOOSER: Mapping[str, Callable[[Any, Any], bool]] = {
 
 # How far joints of an arm that stands may move, rad or m.
 _STANDS = 1e-6
-# How far fixed knots may lie from their path, rad, which is integrated; a bent arm's only near it.
-_MOST_ASIDE, _MOST_ASIDE_BENT = 1e-3, 0.01
+# How far fixed knots may lie from those computed again, rad or m, and at most where rounding counts for more;
+# as a share of what is added up.
+_ON_PATH, _MOST_ASIDE, _OF_ROUNDING = 1e-6, 1e-3, 1e-12
 # Share of what compensation moves the start by within which it is known.
 _SECOND_ORDER = 0.1
 # Pieces of a row that have no more in common touch, m.
@@ -205,7 +207,7 @@ def require_still(plan: Plan, options: PlannerOptions, source: str) -> None:
     if options.start == "pinned" and moved and not plan.scene.begins_elsewhere:
         aside = aside_at_start(build_request(plan.scene, options), plan.job.strokes[0].trajectory.q[0])
         # The way back to a rigid arm's posture is that of the bent one's to first order.
-        if aside > (0.0 if plan.sag is None else _MOST_ASIDE + _SECOND_ORDER * moved):
+        if aside > (0.0 if plan.sag is None else _ON_PATH + _SECOND_ORDER * moved):
             got = f"a start {aside:.3g} rad (or m) from the scene's posture"
             raise ArchiveError(source, "start", got, "that posture, as planner.start: pinned asks")
     ramp = plan.robot.tool_ramp
@@ -256,20 +258,30 @@ def _left_away(strokes: Sequence[Stroke]) -> dict[str, float]:
 
 
 def require_fixed(plan: Plan, options: PlannerOptions, source: str) -> None:
-    """Refuse via-points aside of the path of gradient projection, by options with fixed knots.
+    """Refuse other via-points than those that gradient projection gives by options with fixed knots.
 
     Raises
     ------
     ArchiveError
     """
-    request, most = build_request(plan.scene, options), _MOST_ASIDE if plan.sag is None else _MOST_ASIDE_BENT
+    request, before = build_request(plan.scene, options), np.array(plan.scene.posture)
+    expected = "those of gradient projection, as planner.knots: fixed asks"
     for number, segment in enumerate(plan.job.strokes):
-        stroke = request.at_stroke(number)
-        q = segment.trajectory.evaluate(stroke.times)
-        if (aside := aside_of_path(stroke, q)) > most:
+        stroke = request.at_stroke(number, JobState(posture=before))
+        q, before = segment.trajectory.evaluate(stroke.times), segment.trajectory.q[-1]
+        try:
+            knots = fixed_knots(stroke)
+            if (aside := np.abs(q - knots).max()) > _ON_PATH:
+                # What keeps the arm away from obstacles may lead paths apart that differ by rounding.
+                gain = stroke.cell.options.avoidance_gain * (1 + _OF_ROUNDING)
+                knots = fixed_knots(stroke.with_options(avoidance_gain=gain)) - knots
+                aside -= min(np.abs(knots).max(), _MOST_ASIDE)
+            if aside <= _ON_PATH:
+                continue
             got = f"via-points {aside:.3g} rad (or m) aside"
-            expected = "those of gradient projection, as planner.knots: fixed asks"
-            raise ArchiveError(source, segment.name, got, expected)
+        except PlanningError as error:
+            got = f"via-points where there are none ({error})"
+        raise ArchiveError(source, segment.name, got, expected)
 
 
 def _decided(stroke: StrokeFile, asked: StrokeFile, *, in_any_direction: bool) -> set[str]:

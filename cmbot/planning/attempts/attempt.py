@@ -15,6 +15,7 @@ from cmbot.planning.attempts.failure import Failure, attempted, failure_of
 from cmbot.planning.budget import Budget
 from cmbot.planning.initial_guess import (
     InitialGuess,
+    fixed_guess,
     guess_along,
     initial_guess,
     leap_failure,
@@ -135,11 +136,15 @@ class Attempt:
         """Return the attempt in a timing, from the via-points of its joint path.
 
         Nothing is charted for it: that joints get from one via-point to the next is what its laws are made
-        for, or what an optimised path does.
+        for, or what an optimised path does. Fixed knots are those of gradient projection in that time.
         """
         request, guess = timing.timed, self.guess
         if not isinstance(guess, InitialGuess):
             return guess
+        if request.cell.options.knots == "fixed":
+            made = attempted(request, lambda: fixed_guess(request))
+            own = replace(self, guess=made, request=request, timing=timing)
+            return own if isinstance(made, InitialGuess) else made
         problem = attempted(request, lambda: problem_near(request, guess, timing.via_points(request)))
         if not isinstance(problem, TorqueProblem):
             return problem

@@ -20,7 +20,8 @@ from cmbot.common.reading.file_types import NonNegative
 from cmbot.elastic.sag import Sag, TooSoftError
 from cmbot.optimization import ExchangeReport, find_violations
 from cmbot.planning.certification.sag_spread import largest_spread
-from cmbot.planning.initial_guess import Aim, InitialGuess, problem_near
+from cmbot.planning.initial_guess import Aim, InitialGuess, fixed_guess, problem_near
+from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.request import StrokeRequest
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.planning.workcell.bent_tool import BentTool
@@ -90,6 +91,21 @@ def optimise_bent(
             violation=np.inf,
             limit=Limit.SHIFT,
         ) from error
+
+
+def fixed_knots(request: StrokeRequest) -> FloatArray:
+    """Return the via-points (k, n), rad, of a stroke whose knots are fixed, as it is planned from its state.
+
+    Raises
+    ------
+    PathNotFound, OptimisationFailed
+        As planning the stroke does.
+    """
+    request = starting_at_path(request) if request.stroke.begins_elsewhere else request
+    guess, sag = fixed_guess(request), request.cell.sag
+    if sag is None:
+        return guess.problem.parametrization.via_points
+    return optimise_bent(request, replace(guess, aim=Aim.KEPT), sag)[0].via_points
 
 
 class _Bending:

@@ -152,17 +152,6 @@ def follow_path(
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
 
-def aside_of_path(request: StrokeRequest, via_points: FloatArray) -> float:
-    """Return how far via-points (k, n), rad, lie at most from the path that begins in the first one, rad.
-
-    That is along the self-motion: where the tool is, and whether it is that of a bent arm, is left open.
-    """
-    q = follow_path(request, via_points[0], stop_at_obstacles=False).at(request.times)
-    along = null_space(request.cell.postures, request.task.on_axis, q)
-    along, off = map(request.cell.robot.metric.coordinates, (along, (via_points - q)[:, None]))
-    return float(np.abs(along @ off.transpose(0, 2, 1)).max(initial=0.0))
-
-
 def aside_at_start(request: StrokeRequest, start: FloatArray) -> float:
     """Return how far a posture `start` (n,), rad, in which the work starts lies from the scene's posture.
 

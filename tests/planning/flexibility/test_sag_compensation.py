@@ -30,7 +30,7 @@ from cmbot.planning import (
 from cmbot.planning.attempts import motion
 from cmbot.planning.budget import Deadline
 from cmbot.planning.flexibility.sag_compensation import optimise_bent
-from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.initial_guess import guess_along, initial_guess
 from cmbot.planning.request import StrokeRequest, build_request
 from cmbot.planning.torque.problem import TaskManifold
 from cmbot.planning.workcell.bent_tool import BentTool
@@ -321,3 +321,15 @@ def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytes
     assert planned.approach is None
     assert "no collision-free approach" in planned.start.failures[0].reason
     assert any("A better start was found" in remark for remark in remarks(planned))
+
+
+def test_fixed_knots_stay_where_it_goes_on_from_a_bent_arms_motion() -> None:
+    """What bends is bent once more from there."""
+    scene = short_scene(robot={"joints": "elastic"}, planner={"compensate": True, "baseline": "none"})
+    request = build_request(scene, scene.planner)
+    guess, sag = initial_guess(request), request.cell.sag
+    assert sag is not None
+    ended = optimise_bent(request, guess, sag)[0]
+    again = guess_along(request, guess, ended.trajectory).problem.parametrization
+    np.testing.assert_allclose(again.via_points, guess.problem.parametrization.via_points, rtol=0, atol=1e-12)
+    assert np.abs(ended.via_points - again.via_points).max() > 1e-3
