@@ -13,7 +13,7 @@ from plan_folders import seal
 from scipy.spatial.transform import Rotation
 from walks import COUNTERWEIGHT_DEG, one_step
 
-from cmbot.archive import json_bytes, load_walk
+from cmbot.archive import Asked, json_bytes, load_walk, verified_motions
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.robot import Climber
 from cmbot.stances import Candidate, in_world
@@ -176,6 +176,11 @@ def test_an_arm_that_moves_at_last(tmp_path: Path) -> None:
     read = load_walk(written(moved, tmp_path)).last
     assert read is not None and read.kind == "arm"
     np.testing.assert_array_equal(read.segment.trajectory.q, motion.q)
+    # A stance asks for no posture of the arm; who asks for none is told where it ends.
+    told = verified_motions(tmp_path).not_verified
+    assert "where the arm ends (0.1 rad from where it begins)" in told
+    with pytest.raises(ArchiveError, match="last: got a move of the arm, expected none after the last step"):
+        verified_motions(tmp_path, Asked(goal=walk.goal.stance))
     moved["last"]["knots"]["q"] = (np.array(motion.q) + 1e-6).tolist()
     with pytest.raises(ArchiveError, match=r"last\.knots\.q: got another posture, expected that in which"):
         load_walk(written(moved, tmp_path))

@@ -156,7 +156,8 @@ def _verified_tour(folder: Path, asked: Asked) -> Verdict:
             raise ArchiveError(str(folder / TOUR_FILE), "parts", parts[-1].name, "a walk to the goal at last")
         _require_goal(last, asked.goal, str(folder / parts[-1].name / WALK_FILE))
     beside = _others(folder, TOUR_FILE, [part.name for part in parts])
-    verdicts.append(Verdict(not_verified=("version, words, where its work begins", *beside)))
+    told = "version, words, where its work begins", *_arm_elsewhere(parts[-1].motion, asked.goal), *beside
+    verdicts.append(Verdict(not_verified=told))
     each = {
         name: tuple(dict.fromkeys(chain(*(getattr(verdict, name) for verdict in verdicts))))
         for name in vars(verdicts[0])
@@ -222,6 +223,8 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             part = load_walk(folder)
             looser = _require_walk(part, asked, str(source))
             skipped = (*(["failures"] if part.failures else []), *_walk_files(folder, part))
+            # In a tour the next part begins there.
+            skipped += () if name else tuple(_arm_elsewhere(part, asked.goal))
         else:
             scene = asked.scenes[0] if asked.scenes else None
             part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
@@ -273,14 +276,25 @@ def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
 
 
 def _require_goal(walk: Walk, goal: Scene | StanceFile, source: str) -> None:
-    """Refuse a walk that ends in another stance or posture."""
+    """Refuse a walk that ends in another stance or posture, or goes on where a stance alone was asked for."""
     _, ends = ends_of(walk)
     scene = goal if isinstance(goal, Scene) else walk.scene
     posture = np.array(scene.posture) if scene is goal else ends[-len(scene.posture) :]
+    if scene is not goal and walk.last is not None:
+        expected = "none after the last step: a stance is asked for"
+        raise ArchiveError(source, "last", "a move of the arm", expected)
     away = float(np.abs(ends - place(goal_stance(goal, walk.scene), posture)).max())
     if not away <= _STANCE_TOLERANCE:
         got = f"another stance or posture, by {away:.3g} m or rad"
         raise ArchiveError(source, "goal", got, "that which was asked for")
+
+
+def _arm_elsewhere(part: Plan | Walk, goal: Scene | StanceFile | None) -> Iterator[str]:
+    """How far from where it begins the arm of a walk ends, where nothing asks for its posture."""
+    if isinstance(part, Walk) and not isinstance(goal, Scene):
+        begins, ends = (row[-len(part.scene.posture) :] for row in ends_of(part))
+        if (away := np.abs(ends - begins).max()) > _STANCE_TOLERANCE:
+            yield f"where the arm ends ({away:.3g} rad from where it begins)"
 
 
 def _walk_files(folder: Path, walk: Walk) -> tuple[str, ...]:
