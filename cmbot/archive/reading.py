@@ -19,9 +19,9 @@ from cmbot.archive.records import BASELINE_FILE, JOB_FILES, PLAN_FILE, PLAN_FILE
 from cmbot.archive.tables import read_motion
 from cmbot.archive.verification.asked import (
     require_asked,
-    require_done,
     require_fixed,
     require_promised,
+    require_still,
 )
 from cmbot.archive.verification.exported import unverified_files
 from cmbot.collision import Clearances
@@ -157,9 +157,9 @@ def read_plan(
         # An error of the scene or the robot is one of the plan.
         key = f"scene.{error.key}" if error.source == str(source) else error.key
         raise ArchiveError(error.source, key, error.got, error.expected, error.choices) from error
-    if asked is not None:
-        require_asked(scene, asked, str(source), file.options)
     promised = options or (asked.planner if asked is not None else file.options)
+    if asked is not None:
+        require_asked(scene, asked, str(source), file.options, promised)
     resolved = resolved_options(scene, bending_arm(scene, robot), promised)
     require_promised(file.options, resolved, str(source), "options")
     job = parts.job(end)
@@ -187,7 +187,7 @@ def read_plan(
     require_same(data, again, str(source), "")
     if not verify:
         return plan, ()
-    require_done(plan, asked, promised, str(source))
+    require_still(plan, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))
     if resolved.knots == "fixed":
         require_fixed(plan, resolved, str(source))

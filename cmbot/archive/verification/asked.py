@@ -113,7 +113,13 @@ def require_promised(options: PlannerOptions, asked: PlannerOptions, source: str
         raise ArchiveError(source, key, "; ".join(looser), "promises as strict as what was asked")
 
 
-def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptions | None = None) -> None:
+def require_asked(
+    scene: Scene,
+    asked: Scene,
+    source: str,
+    options: PlannerOptions | None = None,
+    promised: PlannerOptions | None = None,
+) -> None:
     """Refuse the scene of a plan that is not what was asked, but for what planning decides.
 
     That are numbers of via-points and durations that are ``auto``, more via-points, the order of strokes
@@ -130,6 +136,8 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
         The file of the plan, for messages.
     options : PlannerOptions, optional
         Of the plan; left out: those that were asked.
+    promised : PlannerOptions, optional
+        By which the arm reaches rows; left out: which rows it reaches from here is not asked.
 
     Raises
     ------
@@ -151,7 +159,11 @@ def require_asked(scene: Scene, asked: Scene, source: str, options: PlannerOptio
     _require_same_robot(*given, source)
     key, best, strokes = "scene.tool_path.strokes", asked.order == "best", scene.strokes
     _require_once(strokes, source, key)
-    expected = _in_parts(asked, strokes, robot_of(asked))
+    robot = robot_of(asked)
+    if promised is not None:
+        # Of rows that are cut other things differ, too.
+        _require_rows(strokes_of(scene, robot), given[1], promised, source)
+    expected = _in_parts(asked, strokes, robot)
     if best:
         place = {stroke.name: k for k, stroke in enumerate(strokes)}
         expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
@@ -219,32 +231,14 @@ def require_still(plan: Plan, options: PlannerOptions, source: str) -> None:
             raise ArchiveError(source, segment.name, got, expected)
 
 
-def require_done(plan: Plan, asked: Scene | None, options: PlannerOptions, source: str) -> None:
-    """Refuse a plan as `require_still` does, and one that leaves out rows which the arm reaches.
-
-    Parameters
-    ----------
-    plan : Plan
-    asked : Scene or None
-        None: what rows the arm reaches is not known.
-    options : PlannerOptions
-        As asked.
-    source : str
-        The file of the plan, for messages.
-
-    Raises
-    ------
-    ArchiveError
-    """
-    require_still(plan, options, source)
-    if asked is None:
-        return
-    own = _left_away(plan.asked_strokes)
-    reached = _left_away(strokes_of(reached_scene(asked, options), plan.robot)) if own else {}
+def _require_rows(strokes: Sequence[Stroke], asked: Scene, options: PlannerOptions, source: str) -> None:
+    """Refuse strokes that leave out rows which the arm reaches."""
+    own = _left_away(strokes)
+    reached = _left_away(strokes_of(reached_scene(asked, options), robot_of(asked))) if own else {}
     for name, away in own.items():
         if away > (1 + _SAME_CUT) * reached.get(name, 0.0) + _TOUCHING_M:
             got = f"{1e3 * away:.4g} mm of the rows of {name} left away, and their overscan"
-            expected = f"{1e3 * reached.get(name, 0.0):.4g} mm: the arm reaches the rest"
+            expected = f"{1e3 * reached.get(name, 0.0):.4g} mm, as asked"
             raise ArchiveError(source, "rows", got, expected)
 
 
