@@ -265,8 +265,12 @@ def test_strokes_in_another_order(tmp_path: Path) -> None:
 
 def test_a_stroke_that_was_not_asked() -> None:
     scene = several()
+    one = scene.with_strokes(scene.strokes[:1])
     with pytest.raises(ArchiveError, match="strokes: got 2 strokes, expected 1, as asked"):
-        require_asked(scene, scene.with_strokes(scene.strokes[:1]), "plan.json")
+        require_asked(scene, one, "plan.json")
+    # As of a plan of those that can be planned.
+    with pytest.raises(ArchiveError, match="got 1 stroke, back is missing, expected 2, as asked"):
+        require_asked(one, scene, "plan.json")
 
 
 def test_the_quickest_time_is_planned(tmp_path: Path) -> None:

@@ -168,7 +168,9 @@ def require_asked(
         place = {stroke.name: k for k, stroke in enumerate(strokes)}
         expected = sorted(expected, key=lambda stroke: place.get(stroke.name, len(place)))
     if len(strokes) != len(expected):
-        raise ArchiveError(source, key, counted(len(strokes), "stroke"), f"{len(expected)}, as asked")
+        lacking = {str(stroke.name) for stroke in expected} - {str(stroke.name) for stroke in strokes}
+        told = [counted(len(strokes), "stroke"), *(f"{name} is missing" for name in sorted(lacking))]
+        raise ArchiveError(source, key, ", ".join(told), f"{len(expected)}, as asked")
     for k, (stroke, other) in enumerate(zip(strokes, expected, strict=True)):
         entries, free = plain(stroke, key), _decided(stroke, other, in_any_direction=best)
         rest = {name: value for name, value in plain(other, key).items() if name not in free}
