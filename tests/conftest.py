@@ -21,6 +21,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 from rail_arms import rail_scene
 from shared_plans import planned
+from shared_robots import loaded
 from small_scenes import short_scene, strokes_scene
 from state_samples import FloatArray, StateSamples
 from urdf_arms import arm_scene, endless_scene
@@ -69,6 +70,15 @@ def _without_the_default_time_limit() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module in (planner, charting):
             patch.setattr(module, "Deadline", deadline)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_robot_loaded_once() -> Iterator[None]:
+    """Where planning loads that of a scene, and scenes look up its named postures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cmbot.planning.workcell.workcell.load_robot", loaded)
+        patch.setattr("cmbot.robot.load_robot", loaded)
         yield
 
 
