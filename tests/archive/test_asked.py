@@ -61,6 +61,8 @@ from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.stances.walking import walk_csv, walk_data
 from cmbot.trajectory import SplineSpace
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
 
 @pytest.fixture
 def asked(tmp_path: Path) -> Path:

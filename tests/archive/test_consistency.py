@@ -15,6 +15,8 @@ from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
 
 @pytest.fixture(scope="module")
 def sliding_plan() -> Plan:

@@ -35,6 +35,8 @@ from cmbot.archive import (
 from cmbot.archive.folder import read_folder, read_record
 from cmbot.common.errors import ArchiveError
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
 OLD = {"stances.csv": b"old", "index.html": b"old", "best_1.yaml": b"old", "best_2.yaml": b"old"}
 NEW = {"stances.csv": b"new", "index.html": b"old", "best.yaml": b"new"}
 FULL = OSError(28, "No space left on device")

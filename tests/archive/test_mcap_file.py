@@ -21,6 +21,8 @@ from cmbot.common.errors import ArchiveError, InputError, MissingExtra
 from cmbot.planning import Plan, QuinticTrajectory
 from cmbot.robot import Dynamics, Kinematics
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
 Messages = dict[str, list[tuple[float, Any]]]
 
 

@@ -23,6 +23,9 @@ from cmbot.stances.walking import Walk, walk_data
 RETURNS = {"format": "cmbot-scene/2", "return": "start"}
 
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
+
 def write_tour(folder: Path, **parts: Plan | Walk) -> Path:
     for name, part in parts.items():
         if isinstance(part, Plan):

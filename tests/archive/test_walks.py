@@ -21,6 +21,8 @@ from cmbot.stances.walking import certified_move, walk_data
 from cmbot.toolpath import SpeedProfile
 from cmbot.trajectory import SplineSpace
 
+pytestmark = pytest.mark.usefixtures("judged_once")
+
 
 @pytest.fixture(scope="module")
 def data() -> dict[str, Any]:

@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 import math
+import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
@@ -15,10 +16,15 @@ import pytest
 from shared_plans import planned
 from small_scenes import short_scene
 
-from cmbot.archive import load_plan, save
+from cmbot.archive import load_plan, reading, save, walks
+from cmbot.archive.verification import folders
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Job, Plan, QuinticTrajectory, Samples
+from cmbot.scene import Scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
+from cmbot.stances.walking import Move
 
 FILES = {"plan.json", "job.csv", "job.npz", "baseline.csv"}
 """All files of a plan."""
@@ -67,6 +73,49 @@ def short_folder(saved_short: Path, tmp_path: Path) -> Path:
 def short_tracking(short_plan: Plan) -> Tracking:
     """As ``cmbot simulate`` has it, at the ends of the plan's interval of stiffness, too."""
     return simulate(short_plan, SimulationOptions(stiffness_share=0.3))
+
+
+_JUDGED: dict[bytes, Any] = {}
+
+
+@pytest.fixture
+def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Certificates and second opinions of one motion in one scene of the shipped robot are made once.
+
+    For tests of what else a folder says, none of which changes how motions are judged.
+    """
+
+    def of_job(plan: Plan, number: int, clearances: Clearances) -> list[Any]:
+        del clearances  # those of the scene
+        job = [(one.kind, one.name, one.task, knots_of(one.trajectory)) for one in plan.job.segments]
+        return [plan.scene, plan.options, number, job]
+
+    def of_move(scene: Scene, node: Any, kind: str, holds: Any, arm: FloatArray, *motion: Any) -> list[Any]:
+        trajectory, speed = motion
+        place = (node.stance, node.root, node.climber)
+        return [scene, place, kind, holds, arm, knots_of(trajectory), speed]
+
+    def of_made(move: Move, scene: Scene) -> list[Any]:
+        return of_move(scene, move.node, move.kind, move.holds, move.arm, move.segment.trajectory, None)
+
+    def once(judge: Callable[..., Any], told: Callable[..., list[Any]]) -> Callable[..., Any]:
+        def judged(*given: Any) -> Any:
+            scene, *others = told(*given)
+            if scene.robot.model != "cmbot":  # but files that a test may change
+                return judge(*given)
+            asked = pickle.dumps([judge.__name__, scene.as_data(), others])
+            if asked not in _JUDGED:
+                _JUDGED[asked] = judge(*given)
+            return _JUDGED[asked]
+
+        return judged
+
+    for module, name, told in (
+        (reading, "_certified", of_job),
+        (walks, "certified_move", of_move),
+        (folders, "second_opinion_of", of_made),
+    ):
+        monkeypatch.setattr(module, name, once(getattr(module, name), told))
 
 
 _PROMISED = {
@@ -139,8 +188,12 @@ def npz(**arrays: Any) -> bytes:
     return file.getvalue()
 
 
+def knots_of(trajectory: QuinticTrajectory) -> list[FloatArray]:
+    return [getattr(trajectory, name) for name in "tqva"]
+
+
 def knots(trajectory: QuinticTrajectory) -> bytes:
-    return npz(**{name: getattr(trajectory, name) for name in "tqva"})
+    return npz(**dict(zip("tqva", knots_of(trajectory), strict=True)))
 
 
 def refused(folder: Path, file: str, key: str, load: Callable[[Path], object] = load_plan) -> ArchiveError:
