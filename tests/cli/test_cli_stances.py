@@ -197,14 +197,13 @@ take_signals()
 """
 
 
-@pytest.mark.parametrize(("jobs", "shown"), [(1, ()), (2, ("--json",))])
-def test_ctrl_c_keeps_the_best_so_far(job: Path, jobs: int, shown: tuple[str, ...]) -> None:
+def test_ctrl_c_keeps_the_best_so_far(job: Path) -> None:
     """The scene's own stance, which is planned first; the page says that the search was stopped."""
     out = job.parent / "out"
-    outcome = run_apart("stand", job, *COARSE, *shown, "--jobs", str(jobs), "-o", out, before=STOPS)
+    outcome = run_apart("stand", job, *COARSE, "--jobs", "2", "-o", out, before=STOPS)
     assert outcome.status == 130, outcome.err
     said = "The search ended early, as it was stopped: what was planned until then is kept"
-    assert said in (" ".join(json.loads(outcome.out)["words"]) if shown else outcome.out)
+    assert said in outcome.out
     assert named(out) == FILES
     assert said in (out / "index.html").read_text()
     best = cmbot.load_scene(out / "best.yaml")

@@ -1,12 +1,12 @@
 """Jobs whose feet are clamps: three short strokes, planned in a moment."""
 
 import copy
-from functools import cache
 from typing import Any
 
+from shared_plans import planned
 from small_scenes import SHORT
 
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan
 from cmbot.scene import Scene, load_scene
 
 CLAMP = {"kind": "clamp", "force_n": [8000.0] * 3, "moment_nm": [3000.0] * 3}
@@ -32,7 +32,6 @@ def clamped_scene(hold: Any = None, **changes: Any) -> Scene:
     return load_scene({**copy.deepcopy(SHORT), **data, **changes})
 
 
-@cache
 def clamped_plan(hold: str) -> Plan:
-    """The scene's plan on one of `HOLDS`, made once."""
-    return plan(clamped_scene(HOLDS[hold]))
+    """The scene's plan on one of `HOLDS`."""
+    return planned(clamped_scene(HOLDS[hold]))

@@ -119,7 +119,7 @@ def test_no_second_opinion_agrees_with_what_is_not_a_number(
     assert not all(check.holds for check in found)
 
 
-@pytest.mark.parametrize("reach", [1e3, 3e3, 1e4])
+@pytest.mark.parametrize("reach", [1e3, 1e4])
 @pytest.mark.parametrize("fast", [False, True])
 def test_what_overflows_on_the_ellipses_is_not_certified_too_low(
     held_plan: Plan, reach: float, fast: bool

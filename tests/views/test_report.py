@@ -9,6 +9,7 @@ import pytest
 from clamped import CLAMP, MAGNET, clamped_scene
 from page_data import data_of, floats, without_shapes
 from plan_folders import changed, with_baseline, without_approach
+from shared_plans import planned
 
 import cmbot
 from cmbot.common.errors import InputError
@@ -305,7 +306,7 @@ def with_use(plan: Plan, share: float) -> Plan:
 def test_what_the_feet_bear_is_a_share_of_what_their_safety_allows(
     hold: dict[str, object], shown: str
 ) -> None:
-    plan = cmbot.plan(clamped_scene(hold))
+    plan = planned(clamped_scene(hold))
     (holds,) = (card for card in headlines(plan, None) if card.title == "Holds")
     check = next(check for check in plan.certificate.checks if check.limit is Limit.HOLD)
     use = max(each.value / each.bound for _, each in plan.job.checks() if each.limit is Limit.HOLD)

@@ -168,7 +168,7 @@ def test_a_stroke_that_cannot_be_planned_is_named(monkeypatch: pytest.MonkeyPatc
     # Slower legs would do, which takes a while to find out.
     monkeypatch.setattr(planner, "advice", lambda trial: "")
     monkeypatch.setattr(planner, "slower_legs", lambda *_: None)
-    scene = strokes_scene()
+    scene = strokes_scene(knots="fixed")
     there, back = scene.strokes
     # Faster than any joint.
     leg = replace(back.legs[0], seconds=0.5)
