@@ -48,7 +48,7 @@ def distances() -> tuple[np.ndarray, np.ndarray]:
     """
     response, rng = two_modes(), np.random.default_rng(11)
     settle, count = round(25.0 / STEP), round(SECONDS / STEP) + 1
-    across, along, n = [], [], 6000
+    across, along, n = [], [], 4000
     # A flat spectrum of 1 (m/s2)^2 from 0.5 to 30 Hz, of a series that is longer than all that is used.
     f = np.arange(n // 2 + 1) / (n * STEP)
     inside = (f >= BAND[0]) & (f <= BAND[1])
