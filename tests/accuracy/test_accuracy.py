@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from accuracy import EVERY, STEP, monte_carlo, swayed
 from finite_differences import finite_difference
+from shared_plans import planned
 from small_scenes import short_scene
 
 import cmbot
@@ -207,11 +208,11 @@ def test_mujoco_sways_alike_with_other_springs(bent: Plan, arm: ElasticArm, fact
 
 def test_in_an_ideal_world_only_what_is_known_is_left() -> None:
     scene = short_scene(planner={"compensate": True}, uncertainty="none")
-    planned = plan(scene, progress=False)
-    accuracy = planned.accuracy
+    made = planned(scene)
+    accuracy = made.accuracy
     parts = {part.name: part.bias_mm for part in accuracy.parts}
     # How far the bent tool is beside its path as planned, and how it sways.
-    beside = 1e3 * planned.segment_samples["work"].tool_deviation.max()
+    beside = 1e3 * made.segment_samples["work"].tool_deviation.max()
     assert parts == {"planned deviation": pytest.approx(beside, rel=0.2, abs=1e-3), "sway": parts["sway"]}
     assert 0.7 * beside <= accuracy.within_mm <= sum(parts.values()) * (1 + 1e-6)
     assert not any("locate" in remedy.name or "identify" in remedy.name for remedy in accuracy.remedies)
@@ -235,7 +236,7 @@ def test_neither_speed_nor_rests_change_what_is_along_the_path(legs: list[dict[s
     }
     path = {"legs": legs, "speed_profile": {"kind": "quiet", "ramp": 0.3}, "via_points": 10}
     scene = short_scene(tool_path=path, uncertainty=only, planner={"compensate": True, "baseline": "none"})
-    accuracy = plan(scene, progress=False).accuracy
+    accuracy = planned(scene).accuracy
     # The sway is some hundredths of a millimetre.
     assert accuracy.within_mm == pytest.approx(5 * np.sqrt(2 * np.log(20)), rel=0.02)
     placed = next(part for part in accuracy.parts if part.name == "placement of the base")
@@ -244,16 +245,16 @@ def test_neither_speed_nor_rests_change_what_is_along_the_path(legs: list[dict[s
 
 def test_a_shaken_base_counts_by_the_largest_of_each_record() -> None:
     """Records of a push across the path, each of its own size, at one moment of the work."""
-    planned = plan(short_scene(planner={"compensate": True}, uncertainty="none"), progress=False)
-    (stroke,) = planned.job.strokes
+    made = planned(short_scene(planner={"compensate": True}, uncertainty="none"))
+    (stroke,) = made.job.strokes
     t = np.linspace(0.0, stroke.duration, 801)
     velocity = np.gradient(stroke.task.path.position(t[398:403]), t[398:403], axis=0)[2]
     aside = np.linalg.svd(velocity[None])[2][1]
     sizes = np.random.default_rng(3).uniform(5e-3, 50e-3, 2048)
     tool = np.zeros((len(t), len(sizes), 3))
     tool[400] = sizes[:, None] * aside
-    shaken = planned.accuracy_while(Shaking(t=t, tool=tool))
-    expected, sway = 1e3 * float(np.quantile(sizes, 0.95)), planned.accuracy.within_mm
+    shaken = made.accuracy_while(Shaking(t=t, tool=tool))
+    expected, sway = 1e3 * float(np.quantile(sizes, 0.95)), made.accuracy.within_mm
     assert abs(shaken.within_mm - expected) < sway + 0.01
     part = next(part for part in shaken.parts if part.name == "shaking of the base")
     assert part.sigma_mm == pytest.approx(1e3 * np.sqrt(np.mean(sizes**2)), rel=1e-3)
@@ -266,7 +267,7 @@ def test_a_shaken_base_counts_by_the_largest_of_each_record() -> None:
 def test_the_radius_is_that_of_an_independent_monte_carlo(compensate: bool) -> None:
     """Within 10 %: exact bent arms, with MuJoCo's sway, against linear maps; a sample of the benchmark."""
     unknown = UNKNOWN.changed(foot=Placement(mm=1.0, deg=0.05))
-    planned = plan(
+    made = planned(
         short_scene(
             robot={"joints": "elastic"},
             tool_path={"legs": [{"by": [0, -0.1, 0], "seconds": 2}]},
@@ -275,8 +276,8 @@ def test_the_radius_is_that_of_an_independent_monte_carlo(compensate: bool) -> N
         ),
         progress=False,
     )
-    found = monte_carlo(planned, draws=400, seed=7)
-    assert planned.accuracy.within_mm == pytest.approx(1e3 * np.quantile(found.distances, 0.95), rel=0.1)
+    found = monte_carlo(made, draws=400, seed=7)
+    assert made.accuracy.within_mm == pytest.approx(1e3 * np.quantile(found.distances, 0.95), rel=0.1)
 
 
 def test_a_tolerance_is_judged_with_its_probability(bent: Plan) -> None:
@@ -333,7 +334,7 @@ def test_remedies_are_computed_and_the_largest_part_is_said(bent: Plan) -> None:
     )
     assert f"the tool would be within {lefts[0]:.3g} mm." in said
     # What is promised of compensation is what a compensated plan has.
-    compensated = plan(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}), progress=False)
+    compensated = planned(short_scene(robot={"joints": "elastic"}, planner={"compensate": True}))
     promised = next(each.within_mm for each in accuracy.remedies if each.name == "compensate: true")
     assert compensated.accuracy.within_mm == pytest.approx(promised, rel=0.05)
     assert compensated.accuracy.parts[0].name == "placement of the base"
@@ -380,7 +381,7 @@ def test_a_soft_base_counts_more() -> None:
     radii = []
     for factor in (1.0, 0.5):
         scene = short_scene(guardrail={"stiffness_factor": factor}, uncertainty="none")
-        radii.append(plan(scene, progress=False).accuracy.within_mm)
+        radii.append(planned(scene).accuracy.within_mm)
     assert radii[1] > 1.2 * radii[0]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from shared_plans import planned
 from small_scenes import short_scene
 
 import cmbot
@@ -16,7 +17,7 @@ from cmbot.common.errors import PlanningError, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.excitation import sway_mm_per_m_s2
-from cmbot.planning import bending_arm, held_guardrail, plan, robot_of, strokes_of, task_of
+from cmbot.planning import bending_arm, held_guardrail, robot_of, strokes_of, task_of
 from cmbot.robot import Climber, Dynamics
 from cmbot.scene import FootholdFile, Scene, StanceFile, foothold_pose
 from cmbot.stances import (
@@ -175,7 +176,7 @@ def test_the_bound_is_that_of_the_charts(objective: Any) -> None:
     robot = robot_of(scene)
     tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
     found = Screener(scene, robot, [own], objective).screened(tasks)
-    made = plan(scene)
+    made = planned(scene)
     bound = max(made.lower_bound.each[k] for k in (0, -1))
     assert 0.99 * bound <= found.bound[0, 0] <= 1.05 * made.objective.planned_peak
 
@@ -247,7 +248,7 @@ def test_the_ranked_table(ranking: StanceRanking) -> None:
 
 
 def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, ranking: StanceRanking) -> None:
-    best, usual = ranking.best.plan, plan(scene)
+    best, usual = ranking.best.plan, planned(scene)
     assert best.figures.adhesion_needed.peak < usual.figures.adhesion_needed.peak
     np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
     loaded = best_scene(ranking)
@@ -296,7 +297,7 @@ def test_hold_is_ranked_by_the_whole_job(scene: Scene, ranking: StanceRanking) -
 def test_with_clamps_hold_is_ranked_by_the_pull_of_magnets_in_their_place(ranking: StanceRanking) -> None:
     clamp = {"kind": "clamp", "force_n": [1e5] * 3, "moment_nm": [1e5] * 3}
     (own,) = ranking.own
-    held = plan(scene_of(guardrail={"hold": clamp}))
+    held = planned(scene_of(guardrail={"hold": clamp}))
     assert value_of(held, figures_of(held, own.candidate), "hold") == pytest.approx(own.value, rel=0.01)
 
 
