@@ -75,10 +75,9 @@ def _without_the_default_time_limit() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _each_robot_loaded_once() -> Iterator[None]:
-    """Where planning loads that of a scene, and scenes look up its named postures."""
+    """Where planning loads that of a scene."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cmbot.planning.workcell.workcell.load_robot", loaded)
-        patch.setattr("cmbot.robot.load_robot", loaded)
         yield
 
 
