@@ -281,7 +281,7 @@ def near(posture: FloatArray, distance: float, along_y: float) -> Scene:
     point = Kinematics(request_of(short_scene()).cell.robot).tool_pose(posture).translation
     ball = {"name": "ball", "sphere": 0.05, "xyz": point.tolist()}
     low, high = 0.0, 1.0
-    for _ in range(60):
+    for _ in range(25):  # to less than a tenth of a micrometre
         away = 0.5 * (low + high)
         ball["xyz"] = (point + away * np.array([0.0, along_y, 0.0])).tolist()
         other = request_of(short_scene(obstacles=[ball])).cell.clearances.query(posture[None])
