@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from kept import Kept
 from shared_plans import planned
 from small_scenes import short_scene
 
@@ -75,7 +76,7 @@ def short_tracking(short_plan: Plan) -> Tracking:
     return simulate(short_plan, SimulationOptions(stiffness_share=0.3))
 
 
-_JUDGED: dict[bytes, Any] = {}
+_JUDGED = Kept[Any](1000)
 
 
 @pytest.fixture
@@ -104,9 +105,7 @@ def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
             if scene.robot.model != "cmbot":  # but files that a test may change
                 return judge(*given)
             asked = pickle.dumps([judge.__name__, scene.as_data(), others])
-            if asked not in _JUDGED:
-                _JUDGED[asked] = judge(*given)
-            return _JUDGED[asked]
+            return _JUDGED(asked, lambda: judge(*given))
 
         return judged
 
