@@ -28,6 +28,7 @@ def walked(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.usefixtures("judged_once")
 @pytest.mark.parametrize("kind", ["short_folder", "walked"])
 def test_what_was_written_holds(kind: str, request: pytest.FixtureRequest) -> None:
     folder = request.getfixturevalue(kind)

@@ -123,7 +123,7 @@ def test_your_own_objective(tmp_path: Path) -> None:
 
 
 def test_report(tmp_path: Path) -> None:
-    text = run_apart("06_report.py", tmp_path)
+    text = run("06_report.py", tmp_path)
     written = set(re.findall(r"^ *\d+ kB  (\S+)$", text, flags=re.MULTILINE))
     assert written >= {"plan.json", "job.csv", "tracking.csv", "replay.html", "report.html"}
     assert written >= {"guardrail_torque.pdf", "joints.pdf", "tracking_error.pdf"}
