@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -255,12 +256,13 @@ def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome
     assert page.count("<svg") == 4  # each on the guardrail, and among the others
 
 
-def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> None:
+def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome], tmp_path: Path) -> None:
     folder, _ = both
-    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "-o", folder / "out", "--force", "--quiet")
+    out = shutil.copytree(folder / "out", tmp_path / "out")
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "-o", out, "--force", "--quiet")
     again = run("stand", folder / "left.yaml", *words)
     assert again.status == 0, again.err
-    names = {path.name for path in (folder / "out").iterdir()}
+    names = {path.name for path in out.iterdir()}
     names -= {name for name in names if re.fullmatch(r"stance_\d+\.yaml", name)}
     assert names == {"stances.csv", "index.html", "best.yaml", "stances.json", "notes.txt"}
 
