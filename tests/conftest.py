@@ -21,13 +21,12 @@ from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 from rail_arms import rail_scene
 from shared_plans import planned
-from shared_robots import loaded, slips
+from shared_robots import loaded
 from small_scenes import short_scene, strokes_scene
 from state_samples import FloatArray, StateSamples
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
-from cmbot.hold.contact import Contact
 from cmbot.planning import Deadline, Plan, planner, robot_of
 from cmbot.planning.selfmotion import sampler
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
@@ -75,11 +74,10 @@ def _without_the_default_time_limit() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _robots_and_their_loads_once() -> Iterator[None]:
-    """Where planning loads that of a scene, and asks with what force its feet hold."""
+def _robots_once() -> Iterator[None]:
+    """Where planning loads that of a scene."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cmbot.planning.workcell.workcell.load_robot", loaded)
-        patch.setattr(Contact, "slip", slips)
         yield
 
 
