@@ -182,7 +182,14 @@ class Contact(ShortRepr):
         force[left], gradient[left] = found.force, found.gradient / unit
         return force, gradient
 
-    def suffices(self, load: FloatArray, size: FloatArray, friction: float, gap: Gap) -> FloatArray:
+    def suffices(
+        self,
+        load: FloatArray,
+        size: FloatArray,
+        friction: float,
+        gap: Gap,
+        above: FloatArray | float = -np.inf,
+    ) -> FloatArray:
         """Return P (N,), N, with which no load tips or slips that is off by at most `size` from one of these.
 
         Parameters
@@ -193,13 +200,16 @@ class Contact(ShortRepr):
             Of changes of friction, of the tipping moments and of the moment about the normal.
         friction : float
         gap : str
+        above : float or (N,), N, optional
+            Less than that is not looked for.
         """
         tables = _tables(self)
         tips = self.tip(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.edges, axis=1).max()
         opens = self.gap(load[:, 2:4])[0] + size[:, 1] * np.linalg.norm(tables.corners, axis=1).max()
         upright = opens if gap == "none" else tips
         slides = (np.hypot(load[:, 0], load[:, 1]) + size[:, 0]) / friction
-        least = np.maximum(np.maximum(upright, slides), _STEADY * size[:, 0] / friction)
+        steady = _STEADY * size[:, 0] / friction
+        least = np.maximum(np.max([upright, slides, steady], axis=0), above)
         finite = np.max([np.abs(load).max(axis=1), size.max(axis=1), least], axis=0) < _HUGE_N
         least[~finite] = np.inf
         grown, size, tips, enough = load[finite], size[finite], tips[finite], least[finite]

@@ -176,7 +176,12 @@ class Holding:
         return np.asarray(np.max([needed_all_over(foot, load, "none")[0] for foot, load in feet], axis=0))
 
     def needed_between(
-        self, number: int, wrench: FloatArray, force: FloatArray, torque: FloatArray
+        self,
+        number: int,
+        wrench: FloatArray,
+        force: FloatArray,
+        torque: FloatArray,
+        above: float = -np.inf,
     ) -> FloatArray:
         """Return an adhesion (N,), N, that suffices a foot for all wrenches between points (N, K, 6).
 
@@ -187,6 +192,8 @@ class Holding:
         wrench : (N, K, 6), N and Nm
         force, torque : (N,), N and Nm
             By which each wrench is off at most besides.
+        above : float, N, optional
+            Less than that is not looked for.
         """
         foot = self.feet[number]
         load = self.load(number, wrench.reshape(-1, 6)).reshape(wrench.shape)
@@ -194,8 +201,9 @@ class Holding:
         off = np.abs(load - middle[:, None]).max(axis=1) + self._load_bounds(number, force, torque)
         needed, good = np.full(len(load), np.inf), np.isfinite(middle + off).all(axis=1)
         size = np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 3], off[:, 4]), off[:, 5]])
-        pressed = _flat(foot).suffices(_turning(middle)[good], size[good], foot.friction, foot.gap)
-        needed[good] = middle[good, 2] + off[good, 2] + pressed
+        pull = (middle + off)[good, 2]
+        loads, pressing = _turning(middle)[good], above - pull
+        needed[good] = pull + _flat(foot).suffices(loads, size[good], foot.friction, foot.gap, pressing)
         return needed
 
     def worst(self, wrench: FloatArray, time: FloatArray, needed: FloatArray | None = None) -> AdhesionPeak:

@@ -31,8 +31,9 @@ _POSITION_DEGREE, _COEFFICIENT_ROUNDING = 5, 1e-14
 _MAX_PIECE_HALVINGS = 40
 # Pieces that are halved at once at most: more are only asked for where a resolution is below the rounding.
 _MAX_PIECES = 20_000
-# As many are cut in eight at once where each call of a function costs as much as many of its values.
-_FEW_PIECES = 16
+# Pieces are cut in four or eight at once, into as many at most, where a call of a function costs as much as
+# many of its values.
+_CUT_AT_ONCE = 400
 # A piece is halved further only while its own hull is wider than this share of what is asked for.
 _MIN_HULL_SHARE = 0.3
 
@@ -295,7 +296,8 @@ def highest(
         if not open_.any():
             break
         control, piece, start, width, ends = (each[open_] for each in (control, piece, start, width, ends))
-        times = 1 if exact is None or number > _FEW_PIECES else min(3, _MAX_PIECE_HALVINGS - halving)
+        times = 1 if exact is None else int(np.clip(np.log2(_CUT_AT_ONCE / number), 1, 3))
+        times = min(times, _MAX_PIECE_HALVINGS - halving)
         for _ in range(times):
             control = np.stack(halves(control), axis=1).reshape(-1, *control.shape[1:])
         parts = 2**times

@@ -242,6 +242,10 @@ def test_a_remainder_bounds_the_change(rng) -> None:
     enough = holding.needed_between(0, wrench[:, None], force, torque)
     assert (holding.needed(0, wrench + change) <= enough).all()
     assert np.quantile(enough / holding.needed(0, wrench), 0.9) < 1.1
+    least = float(np.median(enough))
+    more = holding.needed_between(0, wrench[:, None], force, torque, least)
+    assert (holding.needed(0, wrench + change) <= more).all()
+    assert (more >= least - 1e-9).all() and (more <= np.maximum(enough, least) * (1 + 1e-9)).all()
     moved = np.abs(holding.use(1, wrench + change) - holding.use(1, wrench))
     assert (moved <= holding.use_remainder(1, force, torque)).all()
 

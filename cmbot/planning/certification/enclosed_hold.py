@@ -15,6 +15,8 @@ from cmbot.planning.certification.check import Check
 from cmbot.planning.certification.norm_bounds import NormBounds
 from cmbot.trajectory import Peak, Pieces, highest
 
+_OfWrenches = Callable[[FloatArray, IntArray], FloatArray]
+
 
 @dataclass(frozen=True, eq=False)
 class EnclosedHold:
@@ -42,12 +44,9 @@ class EnclosedHold:
     def _adhesion(self) -> dict[int, Peak]:
         """Of each foot that holds by adhesion, by its number, the adhesion that it needs, N."""
         holding, beyond = self.holding, np.where(self._bounded, 0.0, np.inf)
-        needed = {number: partial(holding.needed, number) for number in holding.adhesive}
-        size = max(map(self._size, needed.values()), default=0.0)
-        return {
-            number: self._enclosed(each, size, beyond, partial(holding.needed_between, number))
-            for number, each in needed.items()
-        }
+        some = {number: holding.needed(number, self._some) for number in holding.adhesive}
+        size = max((float(np.abs(needed).max()) for needed in some.values()), default=0.0)
+        return {number: self._needed(number, float(some[number].max()), size, beyond) for number in some}
 
     @property
     def needed(self) -> AdhesionPeak | None:
@@ -81,7 +80,7 @@ class EnclosedHold:
             if foot.force is not None:
                 remainder = self.holding.use_remainder(number, *self._remainders)
                 use = partial(self.holding.use, number)
-                peak = self._enclosed(use, self._size(use), remainder)
+                peak = self._enclosed(use, float(np.abs(use(self._some)).max()), remainder)
                 yield Check(
                     quantity=self.holding.named(CLAMP_LOAD, number),
                     time=peak.time,
@@ -106,29 +105,48 @@ class EnclosedHold:
         """The wrench (6,) at a Chebyshev point near a time: where the peak is, up to the resolution."""
         return np.asarray(self.wrench[int(np.abs(self.pieces.times.ravel() - time).argmin())])
 
-    def _size(self, function: Callable[[FloatArray], FloatArray]) -> float:
-        """How large a function of wrenches (N, 6) is, from one for each piece."""
-        return float(np.abs(function(self.wrench[:: len(self.wrench) // len(self.pieces.start)])).max())
+    @property
+    def _some(self) -> FloatArray:
+        """One wrench (6,) of each piece, (K, 6)."""
+        return self.wrench[:: len(self.wrench) // len(self.pieces.start)]
+
+    def _needed(self, number: int, found: float, size: float, beyond: FloatArray) -> Peak:
+        """The adhesion that a foot needs: it is `found`, N, at one of the times."""
+        off = [np.where(self._bounded, part, 0.0) for part in self._remainders]
+        near = self.resolution * size
+
+        # Of what is lower than what was found nothing more need be known, which is quicker.
+        def values(wrench: FloatArray, piece: IntArray) -> FloatArray:
+            nonlocal found
+            needed = self.holding.needed(number, wrench.reshape(-1, 6), found - near)
+            found = max(found, float(needed.max()))
+            return needed.reshape(wrench.shape[:2])
+
+        def bounds(wrench: FloatArray, piece: IntArray) -> FloatArray:
+            force, torque = (part[piece] for part in off)
+            between = self.holding.needed_between(number, wrench, force, torque, found - near)
+            return np.repeat(between[:, None], wrench.shape[1], axis=1)
+
+        return self._highest(bounds, size, beyond, values)
 
     def _enclosed(
-        self,
-        function: Callable[[FloatArray], FloatArray],
-        size: float,
-        remainder: FloatArray,
-        between: Callable[[FloatArray, FloatArray, FloatArray], FloatArray] | None = None,
+        self, function: Callable[[FloatArray], FloatArray], size: float, remainder: FloatArray
     ) -> Peak:
-        """Enclose a function of wrenches (N, 6): a convex one, or one with bounds `between` (N, K, 6)."""
-        off = [np.where(self._bounded, part, 0.0) for part in self._remainders]
+        """Enclose a convex function of wrenches (N, 6)."""
 
-        def values(points: FloatArray, piece: IntArray) -> FloatArray:
-            wrench = np.swapaxes(points, 1, 2)
+        def values(wrench: FloatArray, piece: IntArray) -> FloatArray:
             return function(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
 
-        def bounds(points: FloatArray, piece: IntArray) -> FloatArray:
-            if between is None:
-                return values(points, piece)
-            found = between(np.swapaxes(points, 1, 2), *(part[piece] for part in off))
-            return np.repeat(found[:, None], points.shape[2], axis=1)
+        return self._highest(values, size, remainder)
+
+    def _highest(
+        self, bounds: _OfWrenches, size: float, remainder: FloatArray, values: _OfWrenches | None = None
+    ) -> Peak:
+        """Enclose by functions of wrenches (L, m, 6) of pieces (L,), to (L, m)."""
+
+        def of(function: _OfWrenches) -> _OfWrenches:
+            return lambda points, piece: function(np.swapaxes(points, 1, 2), piece)
 
         control = self.pieces.control_points(self.wrench)
-        return highest(self.pieces, control, bounds, remainder, self.resolution * size, values)
+        exact = None if values is None else of(values)
+        return highest(self.pieces, control, of(bounds), remainder, self.resolution * size, exact)
