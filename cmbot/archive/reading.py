@@ -160,6 +160,8 @@ def read_plan(
     promised = options or (asked.planner if asked is not None else file.options)
     if asked is not None:
         require_asked(scene, asked, str(source), file.options, promised)
+        if file.missing:
+            raise ArchiveError(str(source), "missing", ", ".join(file.missing), "none: each stroke is there")
     resolved = resolved_options(scene, bending_arm(scene, robot), promised)
     require_promised(file.options, resolved, str(source), "options")
     job = parts.job(end)

@@ -275,6 +275,12 @@ def test_a_stroke_that_was_not_asked() -> None:
         require_asked(one, scene, "plan.json")
 
 
+def test_a_stroke_that_is_called_missing(short_folder: Path, asked: Path) -> None:
+    edit(short_folder, lambda data: data.update(missing=["stroke_2"]))
+    told = f"{short_folder}/plan.json: missing: got stroke_2, expected none: each stroke is there"
+    assert refusal("verify", short_folder, "--scene", asked) == f"error: {told}"
+
+
 def test_the_quickest_time_is_planned(tmp_path: Path) -> None:
     path = {"legs": [{"by": [0, -0.3, 0]}], "seconds": "auto", "via_points": 12}
     scene = load_scene({**SHORT, "tool_path": path})
