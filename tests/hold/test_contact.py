@@ -189,6 +189,22 @@ def test_a_contact_bears_what_is_pressed_by_more_than_slips(
         assert (plate.bears(load, factor * exact, 0.3, "allowed") == (factor > 1)).all()
 
 
+def test_what_a_bound_says_is_not_searched_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a plate holds far more than a light load asks."""
+    asked, work = list[int](), Friction.work
+
+    def counting(self: Friction, pressure: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, ...]:
+        asked.append(len(pressure))
+        return work(self, pressure, motion)
+
+    plate = Contact.rectangle(0.125, 0.075)
+    load, pressed = np.array([[3.0, 4.0, 0.2, 0.1, 0.1]]), np.array([100.0])
+    assert plate.slip(load, 0.3, "none")[0] < 0.5 * pressed
+    monkeypatch.setattr(Friction, "work", counting)
+    assert plate.bears(load, pressed, 0.3, "none").all()
+    assert not asked
+
+
 @pytest.mark.parametrize("pads", ["three discs", "far and narrow"])
 def test_what_hardly_slips_or_hardly_turns_needs_an_end(pads: str, rng: np.random.Generator) -> None:
     """Loads that mostly tip, and slides that mostly do not turn: searches begin or end far from those."""
@@ -228,18 +244,50 @@ def test_what_suffices_an_ellipse_that_may_tip(rng: np.random.Generator) -> None
     assert (needed(oval, other) <= enough * (1 + 1e-9)).all()
 
 
-def test_friction_that_is_just_too_little_between_two_forces_is_found() -> None:
+@pytest.mark.parametrize(
+    ("shape", "load", "factors"),
+    [
+        (
+            "plate",
+            (
+                205.46197777086255,
+                -151.21810629172057,
+                24.397045345096025,
+                53.639322804037455,
+                -4.5049259005555164,
+            ),
+            np.append(1.5, np.linspace(1.06, 1.006, 19)),
+        ),
+        # A seventh below what is needed a force is about enough again.
+        (
+            "pads",
+            (
+                -73.67886857243137,
+                -82.50182273523298,
+                -39.808478285212296,
+                -30.47033014767431,
+                13.76603170965501,
+            ),
+            np.array([1.5, 1.1, 1.02, 1.001]),
+        ),
+    ],
+)
+def test_friction_that_is_just_too_little_between_two_forces_is_found(
+    shape: str, load: tuple[float, ...], factors: np.ndarray
+) -> None:
     """Beyond what is needed no force is too little, by SciPy's search for the weakest motion."""
-    plate, size = Contact.rectangle(0.15, 0.075), np.hypot(0.15, 0.075) / 2
-    push, moments = [205.46197777086255, -151.21810629172057, 0.0], [24.397045345096025, 53.639322804037455]
-    load = np.array([*push, *moments, -4.5049259005555164])
+    plate, (u, w, *moments, torsion) = Contact.rectangle(0.15, 0.075), load
+    if shape == "pads":
+        discs = [shapely.Point(at).buffer(0.02) for at in ((0.1, 0), (-0.1, 0.08), (-0.1, -0.08))]
+        plate = Contact.of(shapely.union_all(discs))[0]
+    size = max(np.hypot(*corner) for ring in plate.outline for corner in ring)
     exact = Friction([np.array(ring) @ np.array([1.0, 1j]) / size for ring in plate.outline])
-    slips = np.array([load[0], load[1], load[5] / size]) / 0.4
+    slips = np.array([u, w, torsion / size]) / 0.4
     along, free = slips / (slips @ slips), scipy.linalg.null_space(slips[None])
-    (value,), pressure = needed(plate, load[None]), np.array([1.0, 0.0, 0.0])
+    (value,), pressure = needed(plate, np.array([[u, w, 0.0, *moments, torsion]])), np.array([1.0, 0.0, 0.0])
     enough = []
-    for force in np.append(1.5, np.linspace(1.06, 1.006, 19)) * value:
-        goal = np.array([1.0, load[4] / size / force, -load[3] / size / force])
+    for force in factors * value:
+        goal = np.array([1.0, moments[1] / size / force, -moments[0] / size / force])
         for _ in range(50):
             pressure = np.linalg.solve(exact.moments(pressure[None])[0], goal)
         np.testing.assert_allclose(exact.moments(pressure[None])[0] @ pressure, goal, atol=1e-10)

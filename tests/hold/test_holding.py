@@ -67,6 +67,32 @@ def test_which_magnets_a_job_asks(steel: float | None, more: str) -> None:
     assert holding.magnets_asked(needed) == f"magnets of 6.0 kN with safety 2{more}"
 
 
+CLAMP = replace(PLAIN, kind="clamp", adhesion=None, force=(900.0, 800.0, 700.0), moment=(90.0, 80.0, 70.0))
+
+
+@pytest.mark.parametrize(
+    ("feet", "load", "bound", "axis", "said"),
+    [
+        ([CLAMP], [0, -400, 5, 0, 0, 0], "force_n", 1, "400 N across the plate, of a foot, 800 N"),
+        ([CLAMP], [0, 0, -350, 0, 0, 0], "force_n", 2, "350 N onto the steel, of a foot, 700 N"),
+        ([CLAMP], [0, 0, 0, -45, 9, 0], "moment_nm", 0, "45 Nm about the length, of a foot, 90 Nm"),
+        ([CLAMP], [0, 0, 0, 0, 9, -35], "moment_nm", 2, "35 Nm about the normal, of a foot, 70 Nm"),
+        ([PLAIN, CLAMP], [450, 0, 0, 0, 0, 0], "force_n", 0, "450 N along the plate, of foot 2, 900 N"),
+        ([CLAMP, PLAIN], [0, 0, 3e4, 0, 0, 0], "force_n", 2, "30000 N off the steel, of foot 1, 700 N"),
+        ([PLAIN], [0, 0, 2500, 0, 0, 0], "adhesion_n", 0, "2500 N of adhesion, of a foot, 5000 N"),
+    ],
+)
+def test_what_is_used_most_is_named(
+    feet: list[Foot], load: list[float], bound: str, axis: int, said: str
+) -> None:
+    """Of all that is known of clamps and magnets, safety included."""
+    words, whose, has = said.split(", ")
+    use = Holding(feet, np.zeros(6)).most_used(np.array([load], dtype=float))
+    assert (use.bound, use.axis, use.foot) == (bound, axis, feet.index(CLAMP) if CLAMP in feet else 0)
+    assert use.in_words == f"{words}, times safety 2, where {whose.removeprefix('of ')} has {has}"
+    assert use.share == pytest.approx(2 * float(words.split()[0]) / float(has.split()[0]))
+
+
 def test_without_a_gap_more_is_needed() -> None:
     """What a peak says of `gap: none` is what feet need that may open none."""
     loads = np.random.default_rng(3).uniform(-1, 1, (200, 6)) * [600, 600, 400, 90, 90, 60]
@@ -98,9 +124,22 @@ def test_objective_and_bounds_ask_feet_for_the_same() -> None:
             np.testing.assert_allclose(2 * gradient @ step, after, rtol=1e-3, atol=1e-9)
 
 
+def test_a_foot_is_named_where_there_are_several() -> None:
+    one, two = (Holding(feet, np.zeros(6)) for feet in ([FOOT], [FOOT, replace(FOOT, safety=1.5)]))
+    assert one.named("load", 0) == "load, safety 2"
+    assert [two.named("load", k) for k in (0, 1)] == [
+        "load of foot 1, safety 2",
+        "load of foot 2, safety 1.5",
+    ]
+
+
 def test_a_plain_pull_needs_itself() -> None:
     assert needed([0, 0, 700, 0, 0, 0]) == pytest.approx([700, 700, 700, 700])
     assert Holding([PLAIN], np.zeros(6)).each(np.array([[0, 0, -700.0, 0, 0, 0]])) == 0
+    # Nor does a small push to either side change that by more than the other: the pull alone counts.
+    value, gradient = needed_all_over(PLAIN, np.array([[0, 0, 700.0, 0, 0, 0]]))
+    assert value == 700
+    np.testing.assert_array_equal(gradient, [[0, 0, 1, 0, 0, 0]])
 
 
 def test_tipping_is_about_the_nearer_edge() -> None:
@@ -205,6 +244,16 @@ def test_what_a_contact_that_is_pressed_all_over_needs_is_near_and_has_a_gradien
     by = finite_difference(lambda d: needed_all_over(foot, load + d)[0], np.zeros(6), 1e-4)
     # But where another motion, or tipping, begins to count.
     assert (np.abs(gradient - by).max(axis=1) < 1e-5).mean() > 0.99
+
+
+def test_the_foot_that_would_need_most_without_a_gap_counts(rng: np.random.Generator) -> None:
+    """Of several, whatever they may open; a clamp needs nothing."""
+    feet = [PLAIN, replace(PLAIN, friction=0.3, share=0.5 * np.eye(6)), CLAMP]
+    loads = rng.normal(size=(50, 6)) * [500, 500, 300, 10, 10, 20] - [0, 0, 600, 0, 0, 0]
+    tight = [replace(foot, gap="none") for foot in feet[:2]]
+    each = [needed_all_over(foot, Holding([foot], np.zeros(6)).load(0, loads))[0] for foot in tight]
+    most = Holding(feet, np.zeros(6)).pressed_without_gap(loads)
+    np.testing.assert_allclose(most, np.max(each, axis=0))
 
 
 @pytest.mark.parametrize("gap", ["none", "allowed"])
