@@ -231,6 +231,23 @@ def test_the_estimate_without_a_gap_is_a_little_too_low(several: Contact, rng: n
     assert (share.min() > 0.9) & (share.max() < 1 + 1e-9)
 
 
+@pytest.mark.parametrize("gap", ["none", "allowed"])
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_what_suffices_where_one_part_of_a_load_changes(
+    gap: Gap, part: int, rng: np.random.Generator
+) -> None:
+    """A longer push along itself, a larger tipping moment or torsion: each is all that is off."""
+    plate, N = Contact.rectangle(0.15, 0.075), 200
+    load = rng.normal(size=(N, 5)) * [100, 100, 2, 1, 5]
+    parts = np.array([[1, 1, 0, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
+    share, size = 10 ** rng.uniform(-3, -1, N), np.zeros((N, 3))
+    size[:, part] = share * np.linalg.norm(load * parts[part], axis=1)
+    changed = load * (1 + share[:, None] * parts[part])
+    enough = plate.suffices(load, size, 0.4, gap)
+    upright = (plate.gap if gap == "none" else plate.tip)(changed[:, 2:4])[0]
+    assert (np.maximum(plate.slip(changed, 0.4, gap)[0], upright) <= enough * (1 + 1e-9)).all()
+
+
 def test_what_suffices_an_ellipse_that_may_tip(rng: np.random.Generator) -> None:
     """Far from its middle a small moment moves the centre of pressure much further than friction expects."""
     oval, N = Contact.of(affinity.scale(shapely.Point(0, 0).buffer(0.1, quad_segs=8), 2.5, 1))[0], 500

@@ -145,6 +145,10 @@ def test_a_plain_pull_needs_itself() -> None:
 def test_tipping_is_about_the_nearer_edge() -> None:
     assert needed([0, 0, 100, 30, 0, 0])[1] == pytest.approx(100 + 30 / 0.0375)
     assert needed([0, 0, 100, 30, 65, 0])[1] == pytest.approx(100 + 65 / 0.065)
+    # And changes with the moment about it alone.
+    for load, axis, lever in (([0, 0, 9, -30, 0, 0], 3, -0.0375), ([0, 0, 9, 0, 65, 0], 4, 0.065)):
+        gradient = needed_by_load(PLAIN, np.array([load], dtype=float))[1]
+        np.testing.assert_allclose(gradient, [np.eye(6)[2] + np.eye(6)[axis] / lever], atol=1e-12)
 
 
 def test_slipping_along_and_turning() -> None:
