@@ -6,6 +6,7 @@ import ast
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,14 @@ from cmbot.collision import Box, Clearances, Obstacle
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.common.poses import pose
 from cmbot.planning import Plan, QuinticTrajectory, bending_arm, plan
-from cmbot.planning.certification.certificate import Certificate, Check, certify, continuity_check
-from cmbot.planning.certification.metrics import figures, measure
+from cmbot.planning.certification.certificate import (
+    Certificate,
+    Check,
+    certify,
+    continuity_check,
+    posture_checks,
+)
+from cmbot.planning.certification.metrics import Samples, figures, measure
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
 from cmbot.simulation import Tracking
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
@@ -214,6 +221,18 @@ def test_a_load_that_is_too_heavy(short_plan: Plan) -> None:
     assert list(failed) == ["torque", "torque that climb_1 holds"]
 
 
+@pytest.mark.parametrize(("name", "k"), [("start", 0), ("end", -1)])
+def test_a_posture_that_is_required_at_an_end(short_plan: Plan, name: str, k: int) -> None:
+    x, ends = short_plan.trajectory, {"start": None, "end": None}
+    for off in (0.0, 1e-6):
+        required = ends | {name: x.q[k] - off * np.eye(7)[2]}
+        (check,) = posture_checks(short_plan.robot, x, **required)
+        assert check.holds == (off == 0.0)
+        assert check.quantity == f"distance of the {name} from the posture required there"
+        assert (check.time, check.unit) == (x.t[k], "rad")
+        assert check.value == pytest.approx(off)
+
+
 def test_another_tool_path(short_plan: Plan) -> None:
     path = short_plan.task.path
     corners = path.corners + np.array([[0, 0, 0], [0, 0, 0.02]])
@@ -374,6 +393,27 @@ def test_figures_of_samples_are_those_of_the_certificate(short_plan: Plan) -> No
     assert got == pytest.approx(expected, rel=1e-4, abs=1e-7)
 
 
+def test_a_force_of_which_a_share_acts_is_a_smaller_force(short_plan: Plan) -> None:
+    x, force = short_plan.trajectory, np.array([30.0, -20.0, -50.0])
+    t = np.linspace(0.0, x.duration, 5)
+    motion = [x.evaluate(t, order) for order in range(4)]
+    pushed = replace(short_plan.robot, tool_force=tuple(force))
+
+    def measured(robot: Robot, share: FloatArray | None) -> Samples:
+        return measure(
+            robot, short_plan.task, Clearances(robot, ()), t, motion, clearance=np.zeros(5), share=share
+        )
+
+    for share in (np.array([0.0, 0.25, 1.0, 0.5, 0.0]), np.zeros(5)):
+        got = measured(pushed, share)
+        for k, part in enumerate(share):
+            alone = measured(replace(pushed, tool_force=tuple(part * force)), None)
+            for name in ("joint_torque", "guardrail_force", "guardrail_torque"):
+                np.testing.assert_allclose(
+                    getattr(got, name)[k], getattr(alone, name)[k], rtol=1e-9, atol=1e-9
+                )
+
+
 def test_the_first_pair_of_shapes_is_named_too(short_plan: Plan) -> None:
     """Of an arm with one shape and one obstacle."""
     whole = short_plan.robot.collision_model
@@ -428,6 +468,34 @@ def test_sway_between_the_steps_of_its_simulation_counts(
     assert at_work.time == (last if growth > 0 else t[0])
     assert after.time == last
     assert at_work.bound == after.bound == 3e-3
+
+
+def test_sway_is_judged_of_what_bends_where_it_is_bounded(short_plan: Plan) -> None:
+    for changes in ({"arm": object()}, {"task": replace(short_plan.task, max_sway=1e-3)}):
+        assert again(short_plan, **changes) == short_plan.certificate
+
+
+def test_a_stiffness_that_is_hardly_known_is_part_of_the_deviation(short_plan: Plan) -> None:
+    """A sag of no size whose standard deviation is 1 mm across the path, which is along y."""
+    sag: Any = SimpleNamespace(
+        covariance=np.eye(1),
+        following=lambda q: np.zeros((len(q), 3)),
+        spread=lambda q: np.tile(np.diag([1e-6, 0.04, 0.0]), (len(q), 1, 1)),
+    )
+    options = replace(short_plan.options, deviation_sigmas=2.5)
+    checks = {check.quantity: check for check in again(short_plan, options=options, sag=sag).checks}
+    name, expected = (
+        "tool deviation within {} standard deviations of the stiffness",
+        "expected tool deviation",
+    )
+    check = checks[name.format("2.5")]
+    assert check.value == pytest.approx(checks[expected].value + 2.5e-3, rel=1e-6)
+    assert (check.bound, check.unit) == (options.max_tool_deviation_m, "m")
+    # Nothing is said where no covariance is known, nor where none is asked for.
+    sure = SimpleNamespace(**{**vars(sag), "covariance": None})
+    for known, sigmas in ((sure, 2.5), (sag, 0.0)):
+        said = again(short_plan, options=replace(options, deviation_sigmas=sigmas), sag=known).checks
+        assert not [each for each in said if "standard deviations" in each.quantity]
 
 
 @pytest.mark.parametrize("samples", [4, 400])

@@ -1,16 +1,18 @@
 """What is enclosed of a tool that stands still while its path turns and bends, against dense samples."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from small_scenes import parts, short_scene, tool_points
 
 from cmbot.planning.certification.certificate import range_check
-from cmbot.planning.certification.enclosed_motion import EnclosedMotion
+from cmbot.planning.certification.enclosed_motion import EnclosedMotion, speed_deviation
 from cmbot.robot import Dynamics, Robot
-from cmbot.trajectory import Peak, QuinticTrajectory
+from cmbot.trajectory import Peak, Pieces, QuinticTrajectory
 
 SECONDS = 4.0
 TURN = {"to": {"frame": "tool", "xyz": [0.0, 0.0, 0.0], "rpy_deg": [0, 0, 140]}, "seconds": SECONDS}
@@ -103,9 +105,34 @@ def test_pieces_are_short_enough_for_what_is_asked_of_the_tool(bounded: str) -> 
         assert -1e-9 <= turned(0, angle, 0.4, **{bounded: 1.0}).tool_speed().bound - quickest <= 3e-8
 
 
+def test_the_unit_of_force_does_not_matter() -> None:
+    """An arm of a millionth of the mass, and of the strength, uses the same share of that."""
+    robot, task, q, _ = parts(short_scene())
+    unit, model, rest = 2.0**-20, robot.model.copy(), np.zeros((2, 7))
+    for k, body in enumerate(model.inertias):
+        model.inertias[k] = pin.Inertia(unit * body.mass, body.lever, unit * body.inertia)
+    limits = replace(robot.limits, torque=unit * robot.limits.torque)
+    ends = q + np.outer([0.0, 1.0], [1.0, -0.5, 0.7, 1.2, -0.3, 0.8, 2.0])
+    motion, shares = QuinticTrajectory(t=np.array([0.0, 0.8]), q=ends, v=rest, a=rest), []
+    for each in (robot, replace(robot, model=model, limits=limits)):
+        check = EnclosedMotion(each, task, motion, None).joint_torque()
+        shares.append(check.value / check.bound)
+    assert shares[0] == pytest.approx(shares[1], rel=1e-13)
+
+
 def test_no_process_speed_is_missed_where_none_is_asked() -> None:
     robot, task, q, _ = parts(short_scene())
     assert EnclosedMotion(robot, task, still(q, 3), None).process_speed() == Peak(time=0, value=0, bound=0)
+
+
+def test_what_interpolation_misses_of_a_velocity_is_a_share_of_the_speed_that_is_asked() -> None:
+    """2 mm/s of 0.1 m/s, of a tool that is just as quick as it should be."""
+    pieces = Pieces.between(still(np.zeros(1), 3), np.empty(0))
+    path: Any = SimpleNamespace(process_speed=lambda times: np.full(len(times), 0.1))
+    velocity = np.tile([0.0, 0.06, 0.08], (pieces.times.size, 1))
+    peak = speed_deviation(path, pieces, velocity, np.full(len(pieces.start), 0.002))
+    assert peak.value == pytest.approx(0.0, abs=1e-12)
+    assert peak.bound == pytest.approx(0.02)
 
 
 def test_the_middle_of_a_range_need_not_be_zero(cmbot_robot: Robot) -> None:

@@ -123,3 +123,38 @@ def test_the_number_of_queries_grows_with_the_motion_not_with_the_knots(
     still, clearances = np.tile(x.q[:1], (5, 1)), Clearances(cmbot_robot, obstacles)
     nearest_approach(QuinticTrajectory(t=x.t, q=still, v=0 * still, a=0 * still), clearances, 1e-4)
     assert asked[2] < 0.5 * 4 * len(clearances.pairs)
+
+
+def passing(robot: Robot) -> tuple[QuinticTrajectory, Clearances]:
+    """A motion whose tool, alone, comes by a ball."""
+    whole = robot.collision_model
+    (shape,) = (each for each in whole.geometryObjects if each.parentJoint == robot.dof)
+    alone = type(whole)()
+    alone.addGeometryObject(shape)
+    ball = Obstacle(name="ball", shape=Sphere(radius=0.05), X_WO=pose([1, -0.8, -1.06]))
+    return motion(5, robot), Clearances(replace(robot, collision_model=alone), [ball])
+
+
+def test_a_bound_may_be_asked_for_closely(cmbot_robot: Robot) -> None:
+    """To a tenth of what distances may be off by."""
+    found = nearest_approach(*passing(cmbot_robot), 1e-7)
+    assert found.distance - found.bound <= 1e-6 + 1.01e-7
+
+
+def test_where_nothing_can_be_told_apart_the_search_ends(
+    cmbot_robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked for no resolution at all the bound stays lower, and holds."""
+    most, distances = 100, Clearances.distances
+
+    def counting(self: Clearances, q, posture, pair):  # type: ignore[no-untyped-def]
+        assert len(q) <= most
+        return distances(self, q, posture, pair)
+
+    monkeypatch.setattr("cmbot.planning.certification.nearest_approach._MOST_INTERVALS", most)
+    monkeypatch.setattr(Clearances, "distances", counting)
+    x, clearances = passing(cmbot_robot)
+    found = nearest_approach(x, clearances, 0.0)
+    smallest = clearances.query(x.evaluate(np.linspace(0, x.t[-1], 801))).distance.min()
+    assert found.bound <= smallest
+    assert found.distance - 1e-2 <= found.bound < found.distance
