@@ -120,6 +120,20 @@ def test_nothing_is_larger_where_joints_turn_alike(cmbot_robot: Robot, rng: np.r
     assert closest > 0.9
 
 
+@pytest.mark.parametrize("rate", [0.3, 3.0])
+def test_a_rod_that_turns_askew_shakes_the_base(cmbot_robot: Robot, rate: float) -> None:
+    """Of an arm without mass but for a rod, at 45 degrees to the last joint's axis: w x J w is J w^2 / 2."""
+    model, rest = cmbot_robot.model.copy(), np.zeros((1, 1, 7))
+    rod = pin.utils.rotate("x", np.pi / 4) @ np.diag([1.0, 1.0, 0.0]) @ pin.utils.rotate("x", -np.pi / 4)
+    for k in range(1, 8):
+        model.inertias[k] = pin.Inertia(0.0, np.zeros(3), rod if k == 7 else np.zeros((3, 3)))
+    robot, v = replace(cmbot_robot, model=model), rate * np.eye(7)[None, 6:]
+    of = norm_bounds(robot, Ellipses(turn=rest, q=rest, v=v, a=rest))
+    true = np.linalg.norm(Dynamics(robot).efforts(rest[0], v[0], rest[0]).guardrail_torque)
+    assert true == pytest.approx(rate**2 / 2)
+    assert true <= of.guardrail_torque[0, 0] <= rate**2 * (1 + 1e-9)
+
+
 def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_states: StateSamples) -> None:
     """Arms whose joints slide, too, and whose motors turn with them."""
     model = any_arm.model.copy()
@@ -140,6 +154,16 @@ def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_st
             speeds = np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1)
             assert (np.linalg.norm(points, axis=1) <= bounds.tool_point[k, 0]).all()
             assert (speeds <= bounds.tool_velocity[k, 0]).all()
+
+
+def test_a_fixed_tool_moves_in_the_part_by_each_joint(any_arm: Robot, random_states: StateSamples) -> None:
+    """As each joint alone, at a unit's rate, moves it there."""
+    robot, none = replace(any_arm, fixed_tool=pin.SE3(np.eye(3), FIXED_TOOL)), np.zeros((1, 1, any_arm.dof))
+    q = random_states(robot, 1)[0]
+    _, J = Kinematics(robot).tool_point_jacobians(q)
+    for column, rate in zip(J[0].T, np.eye(robot.dof), strict=True):
+        on = Ellipses(turn=none, q=np.abs(q)[None], v=rate[None, None], a=none)
+        assert np.linalg.norm(column) <= norm_bounds(robot, on).tool_velocity[0, 0] * (1 + 1e-9)
 
 
 def test_a_slide_lengthens_the_lever_of_all_weights(tmp_path: Path) -> None:
