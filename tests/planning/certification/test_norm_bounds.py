@@ -156,6 +156,18 @@ def test_motions_of_any_arm_are_within_what_is_bounded(any_arm: Robot, random_st
             assert (speeds <= bounds.tool_velocity[k, 0]).all()
 
 
+def test_a_force_on_the_tool_has_the_stretched_arm_as_lever(cmbot_robot: Robot) -> None:
+    """About the foot, of an arm at rest: more by the force than without one."""
+    none = np.zeros((1, 1, 7))
+    at_rest = Ellipses(turn=none, q=none, v=none, a=none)
+    less, more = (
+        norm_bounds(replace(cmbot_robot, tool_force=force), at_rest).guardrail_torque[0, 0]
+        for force in ((0, 0, 0), FORCE)
+    )
+    lever = np.linalg.norm(cmbot_robot.base_point - cmbot_robot.foot_point) + cmbot_robot.reach
+    assert more - less == pytest.approx(np.linalg.norm(FORCE) * lever, rel=1e-9)
+
+
 def test_a_fixed_tool_moves_in_the_part_by_each_joint(any_arm: Robot, random_states: StateSamples) -> None:
     """As each joint alone, at a unit's rate, moves it there."""
     robot, none = replace(any_arm, fixed_tool=pin.SE3(np.eye(3), FIXED_TOOL)), np.zeros((1, 1, any_arm.dof))
