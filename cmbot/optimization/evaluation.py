@@ -25,11 +25,13 @@ _MAX_ADDED_CONSTRAINTS = 40
 class Stage:
     """Which of a program's objectives is minimised, and with how much smoothing.
 
-    Without `bound` the peak is minimised, with it the mean square, the peak held below `bound`.
+    Without `bound` the peak is minimised, with it the mean square, the peak held below `bound`; with `weight`
+    0 only the constraints count, and steps are the least by the curvature of the objective.
     """
 
     smoothing: float  # weight of half the mean squared jerk beside the objective
     bound: float | None = None
+    weight: float = 1.0  # of the objective and the smoothing
     target: float = 0.0  # the peak need not fall below this
     tolerance: float  # violations up to this count as met
 
@@ -110,7 +112,7 @@ class NlpEvaluation:
             value = value - bound * (self.constraints.family == OBJECTIVE)
             objective += 0.5 * sum(float(part.value @ part.value) for part in self._residuals)
         return NlpValues(
-            objective=objective,
+            objective=self.stage.weight * objective,
             value=value,
             family=self.constraints.family,
             epigraph=bound is None,
@@ -127,7 +129,7 @@ class NlpEvaluation:
         rows = self._rows
         return NlpModel(
             **vars(values),
-            gradient=gradient,
+            gradient=self.stage.weight * gradient,
             hessian=sparse.csr_array((form.dimension, form.dimension)),
             jacobian=form.jacobian(rows, at.derivative),
             cut_value=at.cut_value,
@@ -160,7 +162,7 @@ class NlpEvaluation:
             J = sparse.vstack([splines.jacobian(rows, part.derivatives) for part in self._residuals])
             residuals = J @ M
             gradient = gradient + residuals.T @ self._residual
-        return gradient, jacobian, residuals
+        return self.stage.weight * gradient, jacobian, residuals
 
     def _curvatures(self, multipliers: FloatArray) -> tuple[LocalRows, FloatArray]:
         """Where the constraints' multipliers bend the Lagrangian, and by how much."""
@@ -189,7 +191,7 @@ class NlpEvaluation:
                 gradient = gradient + form.pullback(self._mean_rows, part.value[:, None] * part.derivatives)
         active = np.flatnonzero(multipliers)
         by_state = multipliers[active, None] * self.at.derivative[:, active]
-        return gradient + form.pullback(self._rows[active], by_state)
+        return self.stage.weight * gradient + form.pullback(self._rows[active], by_state)
 
     @cached_property
     def _jerk(self) -> tuple[float, FloatArray]:

@@ -229,7 +229,7 @@ def meet_constraints(
     options: ExchangeOptions,
     progress: Callable[[ExchangeReport], None] | None = None,
 ) -> Result:
-    """Find a motion near the start that meets the constraints: the first on the way to the least mean square.
+    """Find a motion near the start that meets the constraints, in steps that are least by the mean square.
 
     Its peak is at most 5 % above the start's. Parameters and errors are those of `minimize_peak`.
     """
@@ -239,7 +239,7 @@ def meet_constraints(
     exchange = _Exchange(program, options, progress)
     found = exchange.separated(np.inf)
     bound = _NEAR_PEAK * found.peak
-    exchange.run(options.smoothing, bound=bound, found=found)
+    exchange.run(options.smoothing, bound=bound, weight=0.0, found=found)
     return exchange.result(bound)
 
 
@@ -337,6 +337,7 @@ class _Exchange:
         smoothing: float,
         *,
         bound: float | None = None,
+        weight: float = 1.0,
         target: float = 0.0,
         attempt: bool = False,
         found: Separation | None = None,
@@ -347,7 +348,8 @@ class _Exchange:
         present trajectory violates may be `found` before.
         """
         o = self._options
-        stage = Stage(smoothing=smoothing, bound=bound, target=target, tolerance=o.feasibility_tolerance)
+        tolerance = o.feasibility_tolerance
+        stage = Stage(smoothing=smoothing, bound=bound, weight=weight, target=target, tolerance=tolerance)
         found = found or self.separated(np.inf if bound is None else bound)
         self._constraints, left = found.added_to(self._constraints), o.stalls
         while True:

@@ -129,6 +129,11 @@ def test_constraints_are_met_near_the_start_and_no_optimum_is_sought(solver: str
     end = find_violations(problem, found.parametrization.trajectory, found.peak_bound, 1e-5, 400)
     assert end.worst.value <= exchanged.feasibility_tolerance
     assert end.peak <= 1.05 * start.peak * (1 + 1e-4)
+    # Nothing pulls it towards the optimum.
+    along = [each.parametrization.trajectory for each in (problem, found, optimum)]
+    before, *after = [x.evaluate(np.linspace(0, x.duration, 500), 2) for x in along]
+    moved = [np.linalg.norm(each - before) for each in after]
+    assert moved[0] < 0.5 * moved[1]
     if solver == "sqp":
         steps = [sum(report.iterations for report in each.passes) for each in (found, optimum)]
         assert 0 < steps[0] < steps[1]
