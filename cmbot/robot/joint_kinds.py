@@ -62,7 +62,7 @@ class Coupling:
     multiplier: FloatArray
     offset: FloatArray
 
-    @property
+    @cached_property
     def is_free(self) -> bool:
         """Whether no joint follows another."""
         return len(self.own) == len(self.leader)
