@@ -133,6 +133,16 @@ def test_a_part_is_cut_within_itself(cut: float, part: int, within: tuple[float,
         np.testing.assert_allclose(there, request.task.path.position([before]), rtol=0, atol=1e-4)
 
 
+def test_parts_that_were_asked_are_not_cut() -> None:
+    """As those of a raster, of which the arm reaches some rows: the whole is not among the strokes."""
+    whole = turning_legs(100.0)
+    asked = with_cuts(whole, request_of(whole).cell.robot, {"work": (1.6,)})
+    request, cuts = build_request(asked, asked.planner).at_stroke(1), Reconfigurations(asked)
+    failure = NoWay(error=request.path_not_found("none", request.first, request.times[5]))
+    assert not cuts.cut(Attempt(request=request, guess=failure), failure)
+    assert not cuts.ends
+
+
 def test_parts_share_seconds_and_via_points() -> None:
     asked = turning_scene(300.0, via_points=50)
     scene = with_cuts(asked, request_of(asked).cell.robot, {"work": (10, 30)})

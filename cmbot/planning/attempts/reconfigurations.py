@@ -48,11 +48,11 @@ class Reconfigurations:
         """
         file = first.request.stroke.file
         name, begin = str(file.part_of or file.name), file.begins_at or 0.0
-        reached = _reached(first, failure)
+        # Parts that were asked, as those of a raster, are not cut further.
+        reached, asked = _reached(first, failure), self._asked.get(name)
         # Fixed knots are those of the path of gradient projection, which leads on from one posture.
-        if reached is None or first.request.cell.options.knots == "fixed":
+        if reached is None or asked is None or first.request.cell.options.knots == "fixed":
             return False
-        asked = self._asked[name]
         leg, share = divmod(_behind(first.request, reached), 1)
         leg += int(begin)
         # Of the legs that the part begins and ends in it has some.
