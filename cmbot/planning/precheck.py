@@ -49,6 +49,8 @@ _ROUNDING_SHARE = 1e-9
 _MUCH_SAG_M = 0.15
 # How much of a tool's tip may be in a workpiece that it may touch; at how many of its places that is judged.
 _MOST_PRESSED_M, _TIP_PLACES = 0.01, 121
+# A tool point that is so near to a workpiece touches it.
+_TOUCHED_M = 1e-3
 _STIFF = "a base and an arm that bear the weight (N/m and Nm/rad)"
 # From here on something is elsewhere, and this much of the way is upright.
 _SAME_PLACE_M, _PLUMB_SHARE = 1e-3, 0.99
@@ -106,7 +108,11 @@ def precheck_scene(scene: Scene) -> Precheck:
     with lines_named(scene.source):
         warnings += [*blocked, *_blocked_feet(scene)]
     for stroke in strokes:
-        warnings += [*_too_fast(scene.tool, stroke), *_too_deep(scene, stroke)]
+        warnings += [
+            *_too_fast(scene.tool, stroke),
+            *_too_deep(scene, stroke),
+            *_tip_too_short(scene, stroke),
+        ]
         warnings += [] if any(beyond_reach(stroke, robot)) else _too_short(stroke, robot)
         warnings += filter(None, [oversized(stroke, robot.dof, scene.planner)])
     warnings += [*precheck_options(scene.planner, scene.tool), *_locked_below(scene, robot)]
@@ -494,6 +500,19 @@ def _too_deep(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
                 expected += "; on a raster it points against u x v, which u and v exchanged turn round"
             key = stroke.leg_key(path.leg_to(float(times[k])))
             yield Finding(severity="error", key=key, got=got, expected=expected)
+
+
+def _tip_too_short(scene: Scene, stroke: Stroke) -> Iterator[Finding]:
+    """Yield that the tool point touches where the rest of the tool then cannot keep the margin."""
+    margin, poses = scene.planner.safety_margin_m, stroke.path.poses(stroke.via_times)
+    ahead = poses.point + _TOUCHED_M * poses.rotation[..., 2]
+    for obstacle in scene.touched:
+        if obstacle.contact <= margin and obstacle.contains(ahead).any():
+            got = f"{scene.tool.contact_mm:g}, and the tool point touches {obstacle.name}"
+            expected = (
+                f"more than planner.safety_margin_m, {1e3 * margin:g} mm: the rest of the tool keeps it"
+            )
+            yield _warning("tool.contact_mm", got, expected)
 
 
 def _speeds(path: ToolPath) -> FloatArray:

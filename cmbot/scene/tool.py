@@ -39,7 +39,7 @@ class Tool(CheckedFields):
         motion.
     contact_mm : float
         Length of the tip, along z up to the tool point, that may touch workpieces, mm; where that point
-        touches, at least ``planner.safety_margin_m``. At most 10 mm may be in one. On free moves only as
+        touches, more than ``planner.safety_margin_m``. At most 10 mm may be in one. On free moves only as
         much of it as touches at their ends, within 2 mm. The rest keeps the margin.
     fixed : MountFile or None
         Pose in W of a tool that stands, such as a grinder, to which the arm holds the part. The path is then

@@ -129,6 +129,20 @@ def test_the_tip_goes_no_deeper_than_what_it_exceeds_the_margin_by() -> None:
         plan(touching_scene(25.0, depth=0.008))
 
 
+@pytest.mark.parametrize(
+    ("contact_mm", "is_told"), [(15.0, True), (20.0, True), (20.5, False), (30.0, False)]
+)
+def test_a_tip_that_is_too_short_to_touch_is_told(contact_mm: float, is_told: bool) -> None:
+    """The rest of the tool keeps the margin, 20 mm: from a touched face it can only with a longer tip."""
+    told = [
+        each for each in precheck_scene(touching_scene(contact_mm)).warnings if each.key == "tool.contact_mm"
+    ]
+    assert [each.got for each in told] == [f"{contact_mm:g}, and the tool point touches board"] * is_told
+    if contact_mm == 20.0:
+        with pytest.raises(PathNotFound):
+            plan(touching_scene(contact_mm))
+
+
 @pytest.mark.parametrize(("depth", "length"), [(0.012, 12), (0.04, 40), (0.05, 40)])
 def test_a_path_deep_in_what_it_may_touch_is_refused(depth: float, length: int) -> None:
     """A board of 40 mm, a tool point within it, at its far side and beyond."""
