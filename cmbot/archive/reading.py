@@ -23,7 +23,7 @@ from cmbot.archive.verification.asked import (
     require_promised,
     require_still,
 )
-from cmbot.archive.verification.exported import unverified_files
+from cmbot.archive.verification.exported import FilesBeside, compared_files
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ArchiveError, InputError
@@ -127,8 +127,8 @@ def load_plan(
 
 def read_plan(
     folder: Path, *, verify: bool, asked: Scene | None = None, options: PlannerOptions | None = None
-) -> tuple[Plan, tuple[str, ...]]:
-    """Read a plan directory as `load_plan` does; return also the names of files that were not compared."""
+) -> tuple[Plan, FilesBeside]:
+    """Read a plan directory as `load_plan` does; return also which files were compared with it."""
     source = folder / PLAN_FILE
 
     def listed(hashes: Mapping[str, str]) -> tuple[str, ...]:
@@ -139,13 +139,7 @@ def read_plan(
     data, contents = _read(folder, listed)
     if verify:
         require_settled(folder)
-    try:
-        file = validated(PlanFile, data, str(source), ArchiveError)
-    except ArchiveError as error:
-        # It has the hash of its content: of a version with other keys, or of whoever changed it.
-        told = "the file was changed, or is of another version: cmbot plan SCENE makes it anew"
-        expected = f"{error.expected}; {told}"
-        raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
+    file = _plan_file(data, str(source))
     try:
         parts = _Parts(file, folder, contents)
         scene, robot = parts.scene, parts.robot
@@ -188,12 +182,22 @@ def read_plan(
     again |= {name: data.get(name) for name in ("scene", "versions")}
     require_same(data, again, str(source), "")
     if not verify:
-        return plan, ()
+        return plan, FilesBeside()
     require_still(plan, promised, str(source))
     plan = _verified(plan, clearances, again, str(source))
     if resolved.knots == "fixed":
         require_fixed(plan, resolved, str(source))
-    return plan, unverified_files(plan, folder)
+    return plan, compared_files(plan, folder)
+
+
+def _plan_file(data: Mapping[str, Any], source: str) -> PlanFile:
+    try:
+        return validated(PlanFile, data, source, ArchiveError)
+    except ArchiveError as error:
+        # It has the hash of its content: of a version with other keys, or of whoever changed it.
+        told = "the file was changed, or is of another version: cmbot plan SCENE makes it anew"
+        expected = f"{error.expected}; {told}"
+        raise ArchiveError(error.source, error.key, error.got, expected, error.choices) from error
 
 
 def plan_data(directory: Path) -> dict[str, Any]:

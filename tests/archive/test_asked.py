@@ -41,7 +41,7 @@ from cmbot.archive.verification.asked import (
     require_asked,
     require_fixed,
 )
-from cmbot.archive.verification.exported import unverified_files
+from cmbot.archive.verification.exported import compared_files
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.planning import (
     Job,
@@ -441,15 +441,16 @@ def exported(sent: Path, short_folder: Path) -> Path:
 def differs(planned: Plan, folder: Path) -> str:
     """How files beside a plan's record differ from it, which ``cmbot verify`` tells as its error."""
     with pytest.raises(ArchiveError) as caught:
-        unverified_files(planned, folder)
+        compared_files(planned, folder)
     return str(caught.value)
 
 
 def test_exported_files_hold(exported: Path) -> None:
     (exported / "notes.csv").write_text("what,when\nnozzle,monday\n", encoding="utf-8")
-    told = json.loads(output("verify", exported, "--json"))["not_verified"]
-    assert told[-1] == "notes.csv"
-    assert not {"job.ros.json", "effort.ros.json", "work.csv", "job.mcap", "job.csv"} & set(told)
+    data, sent = json.loads(output("verify", exported, "--json")), {"effort.ros.json", "work.csv", "job.mcap"}
+    assert data["not_verified"][-1] == "notes.csv"
+    assert {"job.csv", "job.ros.json", *sent} <= {*data["compared"]} and "notes.csv" not in data["compared"]
+    assert not {*data["compared"]} & {*data["not_verified"]}
 
 
 def ten_times_as_quick(points: list[Any]) -> list[Any]:
@@ -476,7 +477,7 @@ def test_a_message_of_another_motion(exported: Path, listed: bool, change: Any) 
 
 def test_a_message_without_a_joint_that_moves(exported: Path, short_plan: Plan) -> None:
     export_ros(short_plan, exported / "job.ros.json", joints=short_plan.robot.joints[1:])
-    assert unverified_files(short_plan, exported) == ("job.ros.json (lacks what moves: joint_1)",)
+    assert compared_files(short_plan, exported).others == ("job.ros.json (lacks what moves: joint_1)",)
 
 
 def test_a_message_with_other_points_before_its_own(exported: Path, short_plan: Plan) -> None:
@@ -503,7 +504,7 @@ def test_a_message_that_no_controller_takes(
     change(data)
     path.write_text(json.dumps(data), encoding="utf-8")
     with pytest.raises(ArchiveError, match=re.escape(f"{path}: {told}")):
-        unverified_files(short_plan, exported)
+        compared_files(short_plan, exported)
 
 
 def test_files_of_something_else_are_named(
@@ -511,22 +512,24 @@ def test_files_of_something_else_are_named(
 ) -> None:
     for name, content in (("notes.json", '{"nozzle": "monday"}'), ("list.json", "[1]"), ("cut.json", "{")):
         (exported / name).write_text(content, encoding="utf-8")
-    assert unverified_files(short_plan, exported) == ("cut.json", "list.json", "notes.json")
+    files = compared_files(short_plan, exported)
+    assert files.others == ("cut.json", "list.json", "notes.json")
+    assert {"job.csv", "job.mcap", "job.ros.json"} <= {*files.compared}
     monkeypatch.setattr(exported_files, "find_spec", {"mcap_ros2": None}.get)
-    assert "job.mcap" in unverified_files(short_plan, exported)
+    assert "job.mcap" in compared_files(short_plan, exported).others
 
 
 def test_the_work_alone_after_an_approach(returning_plan: Plan, tmp_path: Path) -> None:
     """It has fewer rows than the job, and is compared with the work."""
     folder = save(returning_plan, tmp_path / "plan")
     export_csv(returning_plan, folder / "work.csv", work=True)
-    assert unverified_files(returning_plan, folder) == ()
+    assert compared_files(returning_plan, folder).others == ()
     lines = (folder / "work.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) < (folder / "job.csv").read_bytes().count(b"\n")
     (folder / "work.csv").write_text("\n".join([*lines[:-2], lines[-1], ""]), encoding="utf-8")
     told = f"work.csv: got {len(lines) - 2} rows, expected {len(lines) - 1} rows, as the knots have them"
     with pytest.raises(ArchiveError, match=told):
-        unverified_files(returning_plan, folder)
+        compared_files(returning_plan, folder)
 
 
 @pytest.mark.parametrize("name", ["job.csv", "job.npz", "plan.json"])
@@ -551,7 +554,7 @@ def test_a_row_that_lacks_a_cell(short_folder: Path, short_plan: Plan) -> None:
     (short_folder / "job.csv").write_text(text, encoding="utf-8")
     told = f"job.csv: line 9: got {len(cells) - 1} cells, expected {len(cells)} cells"
     with pytest.raises(ArchiveError, match=told):
-        unverified_files(short_plan, short_folder)
+        compared_files(short_plan, short_folder)
 
 
 def test_another_accuracy_than_the_motion_has(short_folder: Path) -> None:
@@ -673,7 +676,7 @@ def test_what_a_bag_has_beside_its_messages(
     path = exported / "job.mcap"
     path.write_bytes(bag_with(path.read_bytes(), add))
     if not told:
-        assert unverified_files(short_plan, exported) == ()
+        assert compared_files(short_plan, exported).others == ()
     else:
         assert re.search(f"beside its index: got .{told}", differs(short_plan, exported))
 

@@ -6,6 +6,7 @@ import io
 import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -29,8 +30,16 @@ _SAME, _SAME_ZERO, _WHY = 1e-6, 1e-9, "the knots have it"
 _LARGEST_FILE = 500_000_000
 
 
-def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
-    """Compare the files beside a plan's record with the plan; return which are not, or lack what moves.
+@dataclass(frozen=True, kw_only=True)
+class FilesBeside:
+    """Which files beside a plan's record have its motion, and which are not compared, or lack what moves."""
+
+    compared: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+
+def compared_files(plan: Plan, folder: Path) -> FilesBeside:
+    """Compare the files beside a plan's record with the plan.
 
     Compared are ``job.csv`` and ``baseline.csv``, and what `cmbot.archive.export_csv`, `export_ros` and,
     where mcap-ros2-support is installed, `export_mcap` have written there.
@@ -46,14 +55,17 @@ def unverified_files(plan: Plan, folder: Path) -> tuple[str, ...]:
     ArchiveError
         When one of them has another motion than the plan.
     """
-    skipped = list[str]()
+    compared, others = list[str](), list[str]()
     for path in sorted(folder.iterdir()):
         if path.name in (PLAN_FILE, JOB_FILES[1]):
             continue
         # What is hidden may be another motion as well.
         compare = None if path.name.startswith(".") else _KINDS.get(path.suffix)
-        skipped += compare(plan, path) if compare is not None and path.is_file() else [listed_name(path)]
-    return tuple(skipped)
+        named = [listed_name(path)]
+        told = compare(plan, path) if compare is not None and path.is_file() else named
+        others += told
+        compared += [] if told else named
+    return FilesBeside(compared=tuple(compared), others=tuple(others))
 
 
 def _table(plan: Plan, path: Path) -> list[str]:

@@ -72,6 +72,8 @@ class Verdict:
         Where no scene was asked: what those in it say of the world, but for defaults, and ask less than by
         default.
     motions : tuple of VerifiedMotion
+    compared : tuple of str
+        Names of files that have the motion of a plan.
     not_verified : tuple of str
         What it says that was not computed again: keys of records, and names of files.
     """
@@ -80,6 +82,7 @@ class Verdict:
     other_options: tuple[str, ...] = ()
     taken: tuple[str, ...] = ()
     motions: tuple[VerifiedMotion, ...] = ()
+    compared: tuple[str, ...] = ()
     not_verified: tuple[str, ...] = ()
 
 
@@ -218,6 +221,7 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
     part: Plan | Walk
     looser: tuple[str, ...]
     others: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()
     try:
         if is_walk:
             part = load_walk(folder)
@@ -227,13 +231,14 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             skipped += () if name else tuple(_arm_elsewhere(part, asked.goal))
         else:
             scene = asked.scenes[0] if asked.scenes else None
-            part, skipped = read_plan(folder, verify=True, asked=scene, options=asked.options)
+            part, files = read_plan(folder, verify=True, asked=scene, options=asked.options)
             options = asked.options or (scene or part.scene).planner
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser, others = looser_promises(part.options, options), other_options(part.options, options)
             if scene is not None:
                 others += other_via_points(part.scene, scene)
-            skipped = (*_claims(part, scene), *skipped, *_elsewhere(folder, PLAN_FILE))
+            compared = files.compared
+            skipped = (*_claims(part, scene), *files.others, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
         motions = tuple(_motions(name, part))
     except LimitViolation as error:
@@ -241,9 +246,10 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
         beyond = "at least" if error.value < error.bound else "at most"
         expected = f"{beyond} {error.bound:.6g} {error.unit}"
         raise ArchiveError(str(source), error.quantity, got, expected) from error
+    texts = {"looser": looser, "other_options": others, "compared": compared, "not_verified": skipped}
     lead = f"{name}: " if name else ""
-    looser, others, skipped = (tuple(lead + text for text in texts) for texts in (looser, others, skipped))
-    told = Verdict(looser=looser, other_options=others, taken=taken, motions=motions, not_verified=skipped)
+    named = {key: tuple(lead + text for text in each) for key, each in texts.items()}
+    told = Verdict(taken=taken, motions=motions, **named)
     return part, told
 
 
