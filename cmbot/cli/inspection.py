@@ -296,7 +296,7 @@ class VerifyCommand(Reporting):
             if others := "; ".join(verdict.other_options):
                 print_lines([f"Options other than asked, as the folder states them: {others}."])
             out.print("Certified anew, and computed a second time at 300 states of each motion.")
-            print_lines([f"Files with this motion: {', '.join(verdict.compared)}."] * bool(verdict.compared))
+            print_lines([f"Files that agree: {', '.join(verdict.compared)}."] * bool(verdict.compared))
             print_lines(["Not verified:", *(f"- {each}" for each in verdict.not_verified or ["nothing"])])
             out.print(second if asked else missing)
 

@@ -32,7 +32,7 @@ _LARGEST_FILE = 500_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class FilesBeside:
-    """Which files beside a plan's record have its motion, and which are not compared, or lack what moves."""
+    """Which files beside a plan's record agree with it, and which are not compared, or lack what moves."""
 
     compared: tuple[str, ...] = ()
     others: tuple[str, ...] = ()

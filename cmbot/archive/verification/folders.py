@@ -73,7 +73,7 @@ class Verdict:
         default.
     motions : tuple of VerifiedMotion
     compared : tuple of str
-        Names of files that have the motion of a plan.
+        Names of files that were compared with a plan, and agree.
     not_verified : tuple of str
         What it says that was not computed again: keys of records, and names of files.
     """
