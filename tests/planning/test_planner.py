@@ -293,15 +293,17 @@ def test_a_way_that_no_trajectory_follows_is_given_up_soon(
 
     monkeypatch.setattr(motion, "optimise", optimise)
     made = plan(scene)
-    assert all("cannot all be met" in str(failure) for failure in failures)
-    assert failures[0].constraint.split()[0] in ("acceleration", "jerk", "tool")
-    assert failures[0].violation > 0.01
+    # By the rounding of some processors (an AMD EPYC's) the first one misses by the tool's rotation, and more
+    # follow before fewer via-points lead on from the scene's posture.
+    later = failures[1:]
+    assert all("cannot all be met" in str(each) and each.violation > 0.01 for each in failures)
+    assert {each.constraint.split()[0] for each in later or failures} <= {"acceleration", "jerk"}
     # By the rounding of some processors (OPENBLAS_CORETYPE=Haswell) the first solver run uses up its 60
     # iterations before that is seen, which the second sees at once.
     assert len(reports) <= 2
     assert sum(report.iterations for report in reports) <= 120
     assert made.certificate.holds
-    # From another start, as near the scene's posture the wrist turns round too fast; where by the rounding of
-    # a processor that is not seen at first, after further failures from fewer via-points.
-    assert made.start.moved > 0 or (len(failures) > 1 and "via_points" in made.fallbacks[0])
+    # From another start: near the scene's posture the wrist turns round too fast.
+    fewer = made.scene.strokes[0].via_points < scene.strokes[0].via_points
+    assert fewer if later else made.start.moved > 0
     assert made.start.failures
