@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
@@ -31,6 +31,8 @@ _NEAR_PAIR_TOLERANCE = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
 # takes over in deep overlaps, keeps its default: with a smaller tolerance it fails now and then.
 _GJK_TOLERANCE = 1e-10
+# Links are always near each other that in half of so many random postures are nearer than this, m.
+_POSTURES_OF_LINKS, _NEAR_LINKS_M = 32, 0.05
 # Steps in which a tip's length is sought, of which one is left as room beside, m.
 _DEPTH_STEP_M = 1e-3
 
@@ -148,6 +150,20 @@ class Clearances:
                 break
             tip += _DEPTH_STEP_M
         return replace(obstacle, contact=min(obstacle.contact, tip + _DEPTH_STEP_M))
+
+    @cached_property
+    def always_near(self) -> FloatArray:
+        """The least distances, m, of links in random postures, of those that are always near each other.
+
+        Such are neighbours of neighbours: an SRDF leaves them out as ones that never collide.
+        """
+        lower, upper = self._robot.limits.within_a_turn
+        q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES_OF_LINKS, len(lower)))
+        own = np.flatnonzero([pair.self_collision for pair in self.pairs])
+        near = own[np.median(self.lower_bounds(q)[:, own], axis=0) < _NEAR_LINKS_M]
+        measured = self.distances(q, np.arange(len(q)).repeat(len(near)), np.tile(near, len(q)))
+        distances = measured.reshape(len(q), len(near))
+        return np.asarray(distances.min(axis=0)[np.median(distances, axis=0) < _NEAR_LINKS_M])
 
     def query(
         self, q: FloatArray, below: float | FloatArray | None = None, *, avoidable_only: bool = False

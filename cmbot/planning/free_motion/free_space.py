@@ -56,12 +56,16 @@ class FreeSpace:
     def around(self, q: FloatArray) -> FreeSpace | None:
         """Return the space that spares at most what postures `q` (N, n) spare; None when one is not free.
 
-        Neighbouring links of some arms are always near each other and never spare much.
+        Links of some arms are always near each other and never spare much, there or elsewhere.
         """
         if not self.robot.limits.contain(q).all():
             return None
         left = float(self.clearances.query(q).distance.min()) - self.margin
-        return None if left < 0 else replace(self, spare=min(self.spare, _MARGIN_SHARE_BETWEEN * left))
+        if left < 0:
+            return None
+        spared = self.clearances.always_near - self.margin
+        left = min(left, float(spared[spared > 0].min(initial=np.inf)))
+        return replace(self, spare=min(self.spare, _MARGIN_SHARE_BETWEEN * left))
 
     def below(self, bound: float) -> FreeSpace:
         """Return the postures whose cost is at most `bound`."""
