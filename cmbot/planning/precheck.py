@@ -316,17 +316,18 @@ def _softest(scene: Scene, robot: Robot) -> tuple[str, str]:
 
 def _out_of_reach(strokes: Sequence[Stroke], robot: Robot) -> Iterator[Finding]:
     """Keys of legs that end farther from the arm's first joint than the arm is long."""
-    joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
     within = (
         f"at most {robot.reach:.3f} m from there, with arm and tool stretched out; where the tool's pose "
     )
     within += "is kept, less (lengths are in metres)"
-    furthest: dict[str, float] = {}
+    furthest: dict[str, tuple[float, FloatArray]] = {}
     for stroke in strokes:
-        for key, away in beyond_reach(stroke, robot):
-            furthest[key] = max(away, furthest.get(key, 0.0))
-    for key, away in furthest.items():
-        got = f"an end {away:.3f} m from the arm's first joint, at ({joint}) m"
+        for key, place, away in beyond_reach(stroke, robot):
+            if key not in furthest or away > furthest[key][0]:
+                furthest[key] = away, place
+    for key, (away, place) in furthest.items():
+        end, joint = (", ".join(f"{x:.3f}" for x in at) for at in (place, robot.base_point))
+        got = f"an end at ({end}) m, {away:.3f} m from the arm's first joint, at ({joint}) m"
         yield Finding(severity="error", key=key, got=got, expected=within)
         if away > FAR_REACHES * robot.reach:
             return  # what comes after it is as far

@@ -13,6 +13,7 @@ from math import ceil
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.nearest_miss import nearest_miss
 from cmbot.planning.request import StrokeRequest, build_request, in_cells, strokes_of, task_of
@@ -33,32 +34,33 @@ _FIRMER_FEET = 6
 _IN_MOTION = 1.15
 
 
-def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
-    """Yield the starts and the legs' ends that the stretched arm does not reach: keys, and distances, m.
+def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, FloatArray, float]]:
+    """Yield starts and legs' ends that the stretched arm does not reach: keys, places (3,), distances.
 
-    Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
-    None are yielded where the tool is fixed, whose distance says nothing.
+    Distances, m, are those from the arm's first joint. What lies between two ends within reach is within
+    reach. None are yielded where the tool is fixed, whose distance says nothing.
     """
     if robot.fixed_tool is not None:
         return
-    distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
-    start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
-    if stroke.file.start_pose is not None and start > robot.reach * (1 + REACH_TOLERANCE):
-        yield f"{stroke.key}.from", start
+    corners = stroke.path.corners
+    distances = np.linalg.norm(corners - robot.base_point, axis=1)
     for k in np.flatnonzero(distances > robot.reach * (1 + REACH_TOLERANCE)):
-        yield stroke.leg_key(int(k)), float(distances[k])
+        if k > 0:
+            yield stroke.leg_key(int(k) - 1), corners[k], float(distances[k])
+        elif stroke.file.start_pose is not None:
+            yield f"{stroke.key}.from", corners[k], float(distances[k])
 
 
 def require_within_reach(request: StrokeRequest) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
     path, robot = request.task.path, request.cell.robot
-    for key, distance in beyond_reach(request.stroke, robot):
+    for key, place, distance in beyond_reach(request.stroke, robot):
         away = np.linalg.norm(request.goals.point - robot.base_point, axis=1)
         time = float(request.times[np.argmax(away > robot.reach * (1 + REACH_TOLERANCE))])
-        joint = ", ".join(f"{x:.3f}" for x in robot.base_point)
+        as_point, joint = (", ".join(f"{x:.3f}" for x in at) for at in (place, robot.base_point))
         what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(
-            f"{key} {what} {distance:.3f} m from the arm's first joint at ({joint}) m, "
+            f"{key} {what} at ({as_point}) m, {distance:.3f} m from the arm's first joint at ({joint}) m, "
             f"{distance - robot.reach:.3f} m out of reach (the arm with its tool stretched out is "
             f"{robot.reach:.3f} m long, in metres)",
             time=time,

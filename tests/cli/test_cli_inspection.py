@@ -88,8 +88,9 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     assert outcome.status == 2
     *warnings, last = (line for line in outcome.out.splitlines() if "error" in line)
     distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
+    place = f"({START[0]:.3f}, {START[1] + 3.1:.3f}, {START[2]:.3f})"
     assert warnings[0].endswith(
-        f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
+        f": tool_path.legs[1]: got an end at {place} m, {distance:.3f} m from the arm's first joint, "
         "at (0.000, 0.500, 0.000) m, expected at most 3.780 m from there, with arm and tool stretched out; "
         "where the tool's pose is kept, less (lengths are in metres)"
     )
@@ -367,7 +368,7 @@ def test_the_rows_of_a_raster_out_of_reach_are_one_warning(tmp_path: Path) -> No
     }
     scene = {**SHORT, "tool_path": {"raster": raster, "speed_m_s": 0.1}}
     out = run("check", write_scene(tmp_path / "far.yaml", scene)).out
-    assert out.count("tool_path.raster: got an end ") == 1
+    assert out.count("tool_path.raster: got an end at (") == 1
     assert out.splitlines()[-1].startswith("No plan is possible: 1 error, ")
 
 

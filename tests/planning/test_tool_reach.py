@@ -50,8 +50,9 @@ def stroke_of(scene: Scene, robot: Robot) -> Stroke:
 def test_ends_out_of_reach_are_found_by_the_length_of_the_arm() -> None:
     scene, near = short_scene(tool_path=FAR), short_scene()
     robot, task, _, _ = parts(scene)
-    ((key, distance),) = beyond_reach(stroke_of(scene, robot), robot)
+    ((key, place, distance),) = beyond_reach(stroke_of(scene, robot), robot)
     assert key == "tool_path.legs[1]"
+    np.testing.assert_array_equal(place, task.path.corners[2])
     assert distance == pytest.approx(np.linalg.norm(task.path.corners[2] - robot.base_point))
     # Table 2 of the paper, and a tool of 0.30 m.
     assert robot.reach == pytest.approx(3.78, abs=5e-3)
@@ -67,8 +68,11 @@ def test_the_planner_names_the_leg_before_it_searches(knots: str) -> None:
         plan(scene, progress=told.append)
     assert not any("postures" in progress.step for progress in told)
     (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path"))
-    ((_, distance),) = beyond_reach(stroke_of(scene, robot), robot)
-    assert caught.value.reason.startswith(f"{warning.key} ends {distance:.3f} m from the arm's")
+    ((_, place, distance),) = beyond_reach(stroke_of(scene, robot), robot)
+    where = ", ".join(f"{x:.3f}" for x in place)
+    assert caught.value.reason.startswith(
+        f"{warning.key} ends at ({where}) m, {distance:.3f} m from the arm's"
+    )
     assert f"{distance - robot.reach:.3f} m out of reach" in caught.value.reason
     assert f"{distance:.3f} m" in warning.got
     # The first via-point out of reach is on that leg.

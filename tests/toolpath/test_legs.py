@@ -509,6 +509,7 @@ def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.r
             "line 1",
             "qw,qx,qy,qz or roll,pitch,yaw; or with keep: axis nx,ny,nz or i,j,k, with keep: position none",
         ),
+        (["x,y,z,A,B,C,nr", "1,2,3,0,0,0,1"], "line 1", "A,B,C of a KUKA are yaw_deg,pitch_deg,roll_deg"),
         (["x,y", "1,2"], "line 1", "the columns x,y,z"),
         ([], "", "a table of waypoints"),
         ([HEADING, ROW, "1,2,3"], "line 3", "7 cells"),

@@ -180,11 +180,12 @@ class _Follower:
         """Refuse to go on where the time is over."""
         request = self._request
         if request.deadline.expired():
+            when = f"when {done} of {total} places along the rows had been tried"
+            if done == 0:
+                # More time may not help: a place within reach takes a small share of it.
+                when = "before a posture at the first place of the rows was found; cmbot check says why"
             raise request.path_not_found(
-                f"{request.deadline.in_words}, was over when {done} of {total} places along the rows had "
-                "been tried",
-                request.state.posture,
-                stopped=True,
+                f"{request.deadline.in_words}, was over {when}", request.state.posture, stopped=True
             )
 
     def _carried(self, q: FloatArray, goal: ToolPoses, width: int) -> FloatArray:

@@ -28,10 +28,11 @@ _ANGLE_COLUMNS = ("roll", "pitch", "yaw")
 _NORMAL_COLUMNS = (("nx", "ny", "nz"), ("i", "j", "k"))
 _TIME_COLUMNS = ("seconds", "time", "t")
 _POSE_COLUMNS, _AXIS_COLUMNS = "qw,qx,qy,qz or roll,pitch,yaw", "nx,ny,nz or i,j,k"
+_KUKA_COLUMNS = ("a", "b", "c")
 # As messages have them: pose.position.x, pose.orientation.w, target-pos_x, target-rot_w.
 _PART_OF_POSE = re.compile(r"(?:.*[^a-z])?(pos|position|rot|orientation|quaternion)[._]([wxyz])")
 # Names that are no columns of anything: numbers of rows.
-_ROW_NUMBERS = ("", "index", "id", "n", "#")
+_ROW_NUMBERS = ("", "index", "id", "n", "nr", "no", "#")
 # A unit quaternion up to what files round; a direction shorter than this is none.
 _LENGTH_OF_QUATERNION, _NO_NORMAL, _MOST_TURNED = 1e-3, 1e-9, 4 * np.pi
 
@@ -141,7 +142,12 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             used += columns
             return _against(table.numbers(columns), table, names)
     if keep != "position":
-        raise SceneError(table.source, "line 1", "places alone", _needed(keep))
+        others = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
+        got = f"places alone, and {', '.join(others[:5])}, which are not known" if others else "places alone"
+        needed = _needed(keep)
+        if set(_KUKA_COLUMNS) <= set(others):
+            needed = f"{needed}; A,B,C of a KUKA are yaw_deg,pitch_deg,roll_deg"
+        raise SceneError(table.source, "line 1", got, needed)
     return np.tile([1.0, 0.0, 0.0, 0.0], (len(table.rows), 1))
 
 
