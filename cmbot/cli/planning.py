@@ -54,7 +54,7 @@ class PlanCommand(Writing):
     """Plan a scene, print what was gained, write a plan directory with a replay and a report.
 
     Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=false --set
-    robot.payload_kg=2
+    robot.payload_kg=2, cmbot plan triangle -o out/heavier --near out/triangle --set robot.payload_kg=0.5
     """
 
     scene: str = argument("A scene file, or the name of a shipped scene.", "SCENE", complete=complete_scene)
@@ -66,6 +66,9 @@ class PlanCommand(Writing):
         metavar="NAME=VALUE",
     )
     partial: bool = option(False, "Plan the strokes that can be planned where others cannot, and say which.")
+    near: Path | None = option(
+        None, "Plan near this earlier plan: frames moved by about 20 mm, or loads changed.", metavar="DIR"
+    )
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
     verbose: bool = option(False, "Print all figures, loads and remarks.")
     figures: bool = option(False, "Draw plots as PNG, SVG and PDF into the plan directory, too.")
@@ -74,6 +77,8 @@ class PlanCommand(Writing):
         started = time.perf_counter()
         loaded, options = loaded_scene(self.scene, self.changes)
         directory, drawn = self.output or Path("out") / loaded.name, dict[str, bytes]()
+        if self.near is not None and self.partial:
+            raise InputError("--near", "--partial", "both", "one of them: near a plan are all of its strokes")
 
         def require() -> None:
             cmbot.archive.require_free(directory, force=self.force)
@@ -83,7 +88,10 @@ class PlanCommand(Writing):
                 err.print(finding_in_words(self.scene, finding))
 
         def planned_scene(progress: ConsoleProgress) -> cmbot.Plan:
-            return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
+            if self.near is None:
+                return cmbot.plan(loaded, options=options, partial=self.partial, progress=progress.update)
+            earlier = cmbot.load_plan(self.near)
+            return cmbot.replan(earlier, loaded.with_options(options), progress=progress.update)
 
         def write(planned: cmbot.Plan) -> None:
             drawn.update(plot_files(planned, self.figures))

@@ -180,7 +180,7 @@ def replan(
     Raises
     ------
     InputError
-        When the arm or the names of the strokes are others than in the plan.
+        When the arm, or the strokes' names or numbers of legs, are others than in the plan.
     CmbotError
         As `cmbot.plan` does, where it is planned anew.
 
@@ -220,13 +220,14 @@ def _timed_as(plan: Plan, scene: Scene) -> Scene:
     # An arm by the same files needs no loading to be compared.
     arms = [plan.robot if scene.robot == plan.scene.robot else robot_of(scene), plan.robot]
     joints, before = ((arm.joints, tuple(arm.limits.velocity)) for arm in arms)
+    if joints != before:
+        raise InputError("cmbot.replan", "scene.robot", "another arm", "the arm of the plan")
     cuts = {str(file.name): allowed_cuts(file, plan.scene.strokes) for file in scene.strokes}
     scene = with_cuts(scene, plan.robot, cuts)
     files, earlier = ({stroke.name: stroke for stroke in each.strokes} for each in (scene, plan.scene))
-    for key, got, expected in (("robot", joints, before), ("tool_path", set(files), set(earlier))):
-        if got != expected:
-            what = ("another arm", "the arm") if key == "robot" else ("other strokes", "the strokes")
-            raise InputError("cmbot.replan", f"scene.{key}", what[0], f"{what[1]} of the plan")
+    legs, planned = ({name: len(file.legs) for name, file in each.items()} for each in (files, earlier))
+    if legs != planned:
+        raise InputError("cmbot.replan", "scene.tool_path", "other strokes", "the strokes of the plan")
     best = scene.order == "best"
     timed = [
         files[name].changed(

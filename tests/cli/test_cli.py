@@ -119,6 +119,24 @@ def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: O
     assert planned.err == ""
 
 
+def test_plan_near_an_earlier_one(folder: Path, directory: Path, tmp_path: Path) -> None:
+    asked = ("plan", folder / "short.yaml", "--near", directory, "--verbose")
+    outcome = run(*asked, "--output", tmp_path / "near", "--set", "robot.payload_kg=0.2")
+    assert outcome.status == 0, outcome.err
+    near, told = cmbot.load_plan(tmp_path / "near", verify=True), "Planned near an earlier plan: "
+    assert near.scene.robot.payload_kg == 0.2
+    assert near.fallbacks[0].startswith(told)
+    assert told in outcome.out
+    refused = run(*asked, "--output", tmp_path / "both", "--partial")
+    assert refused.status == 2
+    assert refused.err.startswith("error: --near: --partial: got both, expected one of them")
+    legs = [{"by": [0, 0.05, 0], "seconds": 3}] * 3
+    write_scene(tmp_path / "other.yaml", {**SHORT, "tool_path": {"legs": legs}})
+    other = run("plan", tmp_path / "other.yaml", "--near", directory, "--output", tmp_path / "no")
+    assert other.status == 2
+    assert "scene.tool_path: got other strokes, expected the strokes of the plan" in other.err
+
+
 def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
     """A narrow terminal on all three streams."""
     text = on_a_terminal("plan", folder / "short.yaml", "-o", tmp_path / "out", columns=78)
