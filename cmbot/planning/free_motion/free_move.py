@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,9 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _MAX_SPACING_HALVINGS = 0.4, 4
-# Share of the limits that a free move may use.
-_LIMIT_SHARE = 0.95
+# Share of the limits that a free move may use; where at rest it uses more, this share of what that leaves is
+# left while it moves.
+_LIMIT_SHARE, _LEFT_SHARE = 0.95, 0.25
 # Postures of the straight line that are looked at where nothing leads to the other end.
 _LINE_POSTURES = 50
 # Values of the objective that differ by less are the same, relative.
@@ -315,12 +317,15 @@ def _timed(
         seconds = max(seconds, _LEAST_PERIODS / frequency)
     # At the places of the moving arm, whose peak may lie between knots: no slower arm asks less.
     sampled = StateSamples.even(trial, _TORQUE_SAMPLES_PER_SEGMENT)
-    at_rest = _asked(request, StateSamples.at_rest(sampled.t, sampled.q), allowed)
+    resting = _asked(request, StateSamples.at_rest(sampled.t, sampled.q), allowed)
+    most = _Asked(
+        use=max(_LIMIT_SHARE, 1 - _LEFT_SHARE * (1 - resting.use)),
+        objective=(1 + _SAME_OBJECTIVE_SHARE) * max(resting.objective, 1.0),
+    )
     for slower in _SLOWER:
         timed = _slowed(trial, slower * seconds, move.begin, move.stands[0])
-        if _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed) <= (
-            1 + _SAME_OBJECTIVE_SHARE
-        ) * max(at_rest, 1.0):
+        asked = _asked(request, StateSamples.even(timed, _TORQUE_SAMPLES_PER_SEGMENT), allowed)
+        if asked.use <= most.use and asked.objective <= most.objective:
             break
     end = _exactly(move.begin, timed.t[-1] + move.stands[1])
     return timed.standing(0.0, float(end))
@@ -341,13 +346,19 @@ def _exactly(begin: float, t: FloatArray) -> FloatArray:
     return (begin + t) - begin
 
 
-def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> float:
-    """The largest share of what is allowed that states ask of the objective and of the joints."""
+class _Asked(NamedTuple):
+    """The largest shares of their limits that joints and feet use, and of what is allowed the objective."""
+
+    use: float
+    objective: float
+
+
+def _asked(request: StrokeRequest, states: StateSamples, allowed: float) -> _Asked:
+    """What states ask of the arm, what holds it and the objective."""
     cell = request.cell
     efforts, holding = efforts_of(Dynamics(cell.robot), states), cell.robot.holding
     use = float((np.abs(efforts.joint_torque) / cell.robot.limits.torque).max())
     use = max(use, float(cell.robot.holding_use(efforts.guardrail_wrench).max(initial=0.0)))
     if holding is not None and holding.bounded:
         use = max(use, float(holding.share(efforts.guardrail_wrench, use)[0].max()))
-    use /= _LIMIT_SHARE
-    return max(use, float(cell.objective.values(states).max()) / max(allowed, _ZERO_OBJECTIVE))
+    return _Asked(use, float(cell.objective.values(states).max()) / max(allowed, _ZERO_OBJECTIVE))

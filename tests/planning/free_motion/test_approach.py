@@ -20,6 +20,7 @@ from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import MOST_GROWTHS, rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
 from cmbot.robot import Dynamics, Kinematics
+from cmbot.trajectory import QuinticTrajectory
 
 
 def test_the_triangles_approach_is_certified(triangle_plan: Plan) -> None:
@@ -249,3 +250,24 @@ def test_a_move_is_no_slower_than_what_it_asks_at_rest_has_it() -> None:
     ends = np.linalg.norm(dynamics.static_efforts(np.stack([start, end])).guardrail_torque, axis=1)
     assert peak(0.0) > 1.001 * ends.max()
     assert peak(1.0) <= 1.001 * peak(0.0) < peak(1.25)
+
+
+def test_where_joints_are_nearly_at_their_limits_at_rest_a_move_keeps_a_part_of_what_is_left() -> None:
+    asked = request_of(short_scene()).tool_off
+    ends = np.radians([[-13, 135, -49, 79, 104, 93, -10], [-26, 104, -48, 77, 144, 114, -4]])
+    move = FreeMove(name="move", start=ends[0], end=ends[1], start_name="here", end_name="there", allowed=1e4)
+    free, robot = plan_move(asked, move).trajectory, asked.cell.robot
+
+    def use(trajectory: QuinticTrajectory, speed: float) -> float:
+        q, v, a = (trajectory.evaluate(np.linspace(*trajectory.t[[0, -1]], 4000), k) for k in range(3))
+        torque = Dynamics(robot).efforts(q, speed * v, speed**2 * a).joint_torque
+        return float((np.abs(torque) / robot.limits.torque).max())
+
+    # As much weaker an arm as uses 98 % at rest.
+    weaker = use(free, 0.0) / 0.98
+    limits = replace(robot.limits, torque=weaker * robot.limits.torque)
+    cell = replace(asked.cell, robot=replace(robot, limits=limits))
+    slow = plan_move(replace(asked, cell=cell), move).trajectory
+    assert use(free, 1.0) > weaker
+    assert 0.98 < use(slow, 1.0) / weaker <= 1 - 0.25 * 0.02 + 1e-4
+    assert 1.0 < slow.t[-1] / free.t[-1] < 4.0
