@@ -60,10 +60,11 @@ class AccuracyPart:
 
 @dataclass(frozen=True, kw_only=True)
 class Remedy:
-    """What would help, and within how much of its path the tool would be."""
+    """What would help, within how much of its path the tool would be, and which part is the largest then."""
 
     name: str
     within_mm: NonNegative
+    largest: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,14 +252,13 @@ def _remedies(
         tried.append(("work while the base is still", lambda other: replace(other, shaking=None)))
     found, all_together = list[Remedy](), budget
     for name, remedy in tried:
-        left = _within(remedy(budget).distances(), probability)
-        if left < _MAX_REMEDY_SHARE * within:
-            found.append(Remedy(name=name, within_mm=left))
+        helped = remedy(budget).remedied(name, probability)
+        if helped.within_mm < _MAX_REMEDY_SHARE * within:
+            found.append(helped)
             all_together = remedy(all_together)
     if len(found) > 1:
         *others, last = (remedy.name for remedy in found)
-        name = f"{', '.join(others)} and {last}"
-        found.append(Remedy(name=name, within_mm=_within(all_together.distances(), probability)))
+        found.append(all_together.remedied(f"{', '.join(others)} and {last}", probability))
     return tuple(sorted(found, key=lambda remedy: remedy.within_mm))
 
 
@@ -347,6 +347,11 @@ class _Budget:
                 )
             )
         return tuple(sorted((part for part in found if part.rms_mm), key=lambda part: -part.rms_mm))
+
+    def remedied(self, name: str, probability: float) -> Remedy:
+        """What a remedy of that name leaves, which led to these errors."""
+        largest = self.told[0].name if self.told else ""
+        return Remedy(name=name, within_mm=_within(self.distances(), probability), largest=largest)
 
     def _told(self, name: str, bias: FloatArray, maps: FloatArray) -> AccuracyPart:
         sizes = np.linalg.norm(self._across(bias), axis=1)

@@ -355,9 +355,11 @@ def _accuracy_section(plan: Plan) -> str:
         (part.name, f"{part.bias_mm:.2f}", f"{part.sigma_mm:.2f}", f"{100 * share:.1f}")
         for part, share in zip(accuracy.parts, accuracy.shares, strict=True)
     ]
-    remedies = [(f"with {remedy.name}", f"{remedy.within_mm:.3g}") for remedy in accuracy.remedies]
+    remedies = [
+        (f"with {remedy.name}", f"{remedy.within_mm:.3g}", remedy.largest) for remedy in accuracy.remedies
+    ]
     told = table(parts, ("mm", "known", "standard deviation", "% of the mean square"))
-    return section("Where the tool will be", told + table(remedies, ("", "within, mm")))
+    return section("Where the tool will be", told + table(remedies, ("", "within, mm", "largest part then")))
 
 
 def _measured_section(plan: Plan) -> str:

@@ -119,7 +119,9 @@ def _first(plan: Plan) -> Iterator[Note]:
     yield from _free_moves(plan)
     if accuracy is not None and accuracy.remedies:
         best = accuracy.remedies[0]
-        yield _note("first", "help", remedy=best.name, within_mm=best.within_mm)
+        # What is asked for and not kept asks what comes next.
+        then = best.largest if accuracy.tolerance_kept is False else ""
+        yield _note("first", "help", remedy=best.name, within_mm=best.within_mm, then=then)
 
 
 def _holds(plan: Plan) -> Iterator[Note]:

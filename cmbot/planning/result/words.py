@@ -327,7 +327,10 @@ _SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{', and may load the base more' if note.pinned else ''}."
     ),
     "promise": _promise,
-    "help": "With {remedy} the tool would be within {within_mm:.3g} mm.",
+    "help": lambda note: (
+        f"With {note.remedy} the tool would be within {note.within_mm:.3g} mm"
+        f"{f'; largest part then: {note.then}' if note.then else ''}."
+    ),
     "unreached": (
         "{unreached_m2:.3g} of {area_m2:.3g} m2 are not reached: where no posture goes on, rows are cut; "
         "raster.cover: all refuses such a plan.{likely}"
