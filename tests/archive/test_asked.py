@@ -77,6 +77,31 @@ def options(**changes: Any) -> Callable[[dict[str, Any]], object]:
 # What was asked
 
 
+def test_a_plan_of_the_scene_by_another_name_holds_and_says_so(short_folder: Path, tmp_path: Path) -> None:
+    """As a job of a campaign is."""
+    other = write_scene(tmp_path / "other.yaml", SHORT | {"name": "other"})
+    data = json.loads(output("verify", short_folder, "--scene", other, "--json"))
+    assert data["other_options"] == ["scene.name 'short' (asked 'other')"]
+
+
+def test_an_objective_of_the_users_is_not_what_was_asked(
+    short_plan: Plan, asked: Path, tmp_path: Path
+) -> None:
+    nothing = dict.fromkeys(("moment_about", "axis_weights", "floor"))
+    own = replace(
+        short_plan.objective, own=True, name="mine", unit="", planned_peak=1.0, baseline_peak=2.0, **nothing
+    )
+    save(replace(short_plan, objective=own), tmp_path / "plan")
+    data = json.loads(output("verify", tmp_path / "plan", "--scene", asked, "--json"))
+    assert data["other_options"] == ["objective 'mine', a function in Python (asked 'torque')"]
+
+
+def test_without_a_scene_blocks_and_options_of_its_own_are_told(short_plan: Plan, tmp_path: Path) -> None:
+    scene = short_plan.scene.with_values({"damper": {}, "planner.min_gain": 0.5})
+    save(replace(short_plan, scene=scene), tmp_path / "plan")
+    assert {"damper {}", "min_gain 0.5 (default 0.02)"} <= set(verified_motions(tmp_path / "plan").taken)
+
+
 def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: Plan) -> None:
     data = json.loads(output("verify", short_folder, "--scene", asked, "--json"))
     assert (data["scenes"], data["looser"]) == ([str(asked)], [])
@@ -84,7 +109,8 @@ def test_a_plan_of_the_scene_holds(short_folder: Path, asked: Path, short_plan: 
     assert "Not verified:" in rest
     assert told.startswith("Judged by what the folder says that was asked: --scene SCENE names the scene.")
     assert told.endswith(
-        "'rigid'; its own tool_path; compensate False (default 'auto'); knots 'fixed' (default 'sliding')."
+        "'rigid'; its own start and tool_path; compensate False (default 'auto'); knots 'fixed' (default "
+        "'sliding'); baseline 'paper' (default 'none'); path_step_s 0.02 (default 0.01)."
     )
     assert data["taken"] == []
     again = load_plan(short_folder, verify=True, scene=load_scene(asked), options=short_plan.options)
@@ -529,6 +555,14 @@ def test_the_work_alone_after_an_approach(returning_plan: Plan, tmp_path: Path) 
     (folder / "work.csv").write_text("\n".join([*lines[:-2], lines[-1], ""]), encoding="utf-8")
     told = f"work.csv: got {len(lines) - 2} rows, expected {len(lines) - 1} rows, as the knots have them"
     with pytest.raises(ArchiveError, match=told):
+        compared_files(returning_plan, folder)
+    # A job that lacks a row is no work.
+    (folder / "work.csv").unlink()
+    lines = (folder / "job.csv").read_text(encoding="utf-8").splitlines()
+    (folder / "whole.csv").write_text("\n".join([*lines[:-2], lines[-1], ""]), encoding="utf-8")
+    with pytest.raises(
+        ArchiveError, match=rf"whole.csv: got {len(lines) - 2} rows, expected {len(lines) - 1}"
+    ):
         compared_files(returning_plan, folder)
 
 

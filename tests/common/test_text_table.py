@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmbot.common.errors import InputError
-from cmbot.common.reading.text_table import read_table
+from cmbot.common.reading.text_table import TextTable, read_table
 
 ROWS = [[0.5, -1.25, 3e-4], [1.5, 2.0, -7.0]]
 
@@ -69,3 +69,20 @@ def test_units_of_places_end_their_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.numbers([0, 1], gaps=True), [[1, np.nan], [np.nan, 2]])
     with pytest.raises(InputError, match="line 2, y: got '', expected a finite number"):
         table.numbers([0, 1])
+
+
+def test_units_of_joints_count_and_a_column_is_there_once(tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+
+    def read(heading: str) -> TextTable:
+        file.write_text(f"{heading}\n90,0.5,100\n180,0.25,200\n", encoding="utf-8")
+        return read_table(file, InputError, kind="a table")
+
+    for heading in ("q1 (deg),q2 [rad],lift (mm)", "q1_deg,q2,q3 (mm)", "turn (°),shift (m),LIFT (mm)"):
+        q, columns = read(heading).joints(["turn", "shift", "lift"])
+        np.testing.assert_allclose(q, [[np.pi / 2, 0.5, 0.1], [np.pi, 0.25, 0.2]])
+        assert columns == [0, 1, 2]
+    with pytest.raises(InputError, match=r"line 1, q2: got the unit grad, expected rad, deg, or of a joint"):
+        read("q1,q2 (grad),q3").joints(["turn", "shift"])
+    with pytest.raises(InputError, match=r"line 1, q1: got 2 columns of this name, expected one"):
+        read("q1,q2,Q1").joints(["turn", "shift"])

@@ -72,14 +72,14 @@ def looser_promises(options: PlannerOptions, asked: PlannerOptions, why: str = "
     return _differing(options, asked, _LOOSER, why)
 
 
-def other_options(options: PlannerOptions, asked: PlannerOptions) -> tuple[str, ...]:
+def other_options(options: PlannerOptions, asked: PlannerOptions, why: str = "asked") -> tuple[str, ...]:
     """Return which options differ and promise no less, each with both values; of ``auto`` none differs."""
     no_less = {
         name: ne
         for name, wanted in vars(asked).items()
         if wanted != AUTO and not (name in _LOOSER and _LOOSER[name](getattr(options, name), wanted))
     }
-    return _differing(options, asked, no_less)
+    return _differing(options, asked, no_less, why)
 
 
 def other_via_points(scene: Scene, asked: Scene) -> tuple[str, ...]:
@@ -150,6 +150,8 @@ def require_asked(
     for data in (content, wanted):
         data["robot"].pop("package_dirs", None)
         data.pop("planner", None)
+    # A job of a campaign is the scene by another name.
+    wanted["name"] = content["name"]
     require_same(content, wanted | {"tool_path": content["tool_path"]}, source, "scene", why="asked")
     known = (asked.planner, options or asked.planner, PlannerOptions())
     for name, value in vars(scene.planner).items():

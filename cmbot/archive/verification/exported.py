@@ -75,8 +75,10 @@ def _table(plan: Plan, path: Path) -> list[str]:
         expected = samples_csv(plan.baseline.samples, source)
     elif path.name == JOB_FILES[0] or content.startswith(b"t,q1,"):
         expected = job_table(plan, source)
-        if path.name != JOB_FILES[0] and content.count(b"\n") != expected.count(b"\n"):
-            expected = job_table(plan, source, work=True)
+        if path.name != JOB_FILES[0]:
+            # That whose rows are nearly as many.
+            each, rows = (expected, job_table(plan, source, work=True)), content.count(b"\n")
+            expected = min(each, key=lambda one: abs(one.count(b"\n") - rows))
     else:
         return [listed_name(path)]
     require_table(content, expected, source)

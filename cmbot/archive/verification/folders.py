@@ -235,8 +235,13 @@ def _verified(folder: Path, name: str, asked: Asked) -> tuple[Plan | Walk, Verdi
             options = asked.options or (scene or part.scene).planner
             options = resolved_options(part.scene, bending_arm(part.scene, part.robot), options)
             looser, others = looser_promises(part.options, options), other_options(part.options, options)
+            if part.objective.own:
+                wanted = shown(options.objective)
+                others += (f"objective {shown(part.objective.name)}, a function in Python (asked {wanted})",)
             if scene is not None:
                 others += other_via_points(part.scene, scene)
+                if part.scene.name != scene.name:
+                    others += (f"scene.name {shown(part.scene.name)} (asked {shown(scene.name)})",)
             compared = files.compared
             skipped = (*_claims(part, scene), *files.others, *_elsewhere(folder, PLAN_FILE))
         taken = () if asked.scenes else tuple(_taken(part.scene))
@@ -257,9 +262,12 @@ def _taken(scene: Scene) -> Iterator[str]:
     """What a scene says of the world, but for defaults, by its keys, and what it asks less."""
     world = scene.model_dump(mode="json", exclude_defaults=True, exclude_none=True, exclude=_OF_THE_WORK)
     for key, value in world.items():
-        for name, inner in value.items() if isinstance(value, dict) else [("", value)]:
+        # A block of defaults is there all the same.
+        for name, inner in value.items() if isinstance(value, dict) and value else [("", value)]:
             yield f"{key}{name and '.'}{name} {len(inner) if isinstance(value, list) else shown(inner)}"
-    yield from ("its own tool_path", *looser_promises(scene.planner, PlannerOptions(), "default"))
+    yield "its own start and tool_path"
+    for differing in (looser_promises, other_options):
+        yield from differing(scene.planner, PlannerOptions(), "default")
 
 
 def _require_walk(walk: Walk, asked: Asked, source: str) -> tuple[str, ...]:
@@ -348,8 +356,6 @@ def _claims(plan: Plan, asked: Scene | None) -> Iterator[str]:
         yield "seconds: auto (that no time is shorter)"
     if any(stroke.speed_profile.kind == "quiet" for stroke in plan.scene.strokes):
         yield "speed_profile: quiet (that no other law sways less)"
-    if plan.objective.own:
-        yield "objective (a function in Python)"
     if asked is not None and asked.order == "best":
         yield "tool_path.order (that no other is better)"
     if any(len(segment.task.path.segments) > 1 for segment in plan.job.strokes):

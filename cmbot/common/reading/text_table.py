@@ -29,6 +29,7 @@ _COMMENT_MARK = "#"
 # Of a place the unit may end the name, too: x_mm, dx/mm.
 _PLACE_AND_UNIT = re.compile(r"\s*(d?[xyz])[_/](m|mm|cm|um|in)\s*", re.IGNORECASE)
 _IN_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
+_IN_RADIANS_OR_METRES = {"rad": 1.0, "deg": math.radians(1.0), "°": math.radians(1.0), "m": 1.0, "mm": 1e-3}
 # What stands where nothing was measured.
 GAPS = ("", "-", "nan", "null", "none")
 
@@ -61,8 +62,20 @@ class TextTable(ShortRepr):
     error_type: type[InputError]
 
     def index(self, *names: str) -> int | None:
-        """Return the number of the column that has one of some names; None where there is none."""
-        return next((self.names.index(name) for name in names if name in self.names), None)
+        """Return the number of the column that has one of some names; None where there is none.
+
+        Raises
+        ------
+        InputError
+            When several columns have it.
+        """
+        name = next((name for name in names if name in self.names), None)
+        if name is None:
+            return None
+        if (number := self.names.count(name)) > 1:
+            got = f"{number} columns of this name"
+            raise self.error_type(self.source, f"line 1, {name}", got, "one")
+        return self.names.index(name)
 
     def columns(self, names: Iterable[str]) -> list[int]:
         """Return the numbers of the columns of those names; none of them where any is not there."""
@@ -72,14 +85,14 @@ class TextTable(ShortRepr):
     def joints(self, names: Sequence[str]) -> tuple[FloatArray, list[int]]:
         """Return the positions (N, n) of joints, rad and m, and the numbers of their columns.
 
-        Each has a column of its name, or ``q1``, ``q2`` and so on, with the suffix ``_deg`` in degrees.
+        Each has a column of its name, or ``q1`` and so on, in degrees with the suffix or unit ``deg``.
 
         Raises
         ------
         InputError
-            When one has none, or a cell is no finite number.
+            When one has none, or one of another unit, or a cell is no finite number.
         """
-        columns, factors = list[int](), list[float]()
+        columns, scales = list[int](), list[float]()
         for number, joint in enumerate(names, start=1):
             called = (joint.lower(), f"q{number}")
             at, in_degrees = self.index(*called), self.index(*(f"{name}_deg" for name in called))
@@ -87,9 +100,13 @@ class TextTable(ShortRepr):
             if column is None:
                 expected = f"a column {joint}, {joint}_deg or q{number}{hint(joint.lower(), self.names)}"
                 raise self.error_type(self.source, "line 1", f"no column of joint {joint}", expected)
+            given = self.units[column].lower() or ("rad" if at is not None else "deg")
+            if given not in _IN_RADIANS_OR_METRES:
+                key, got = f"line 1, {self.names[column]}", f"the unit {given}"
+                raise self.error_type(self.source, key, got, "rad, deg, or of a joint that slides m, mm")
             columns.append(column)
-            factors.append(math.radians(1.0) if at is None else 1.0)
-        return self.numbers(columns) * np.array(factors), columns
+            scales.append(_IN_RADIANS_OR_METRES[given])
+        return self.numbers(columns) * np.array(scales), columns
 
     def lengths(self, columns: Sequence[int], unit: str, *, gaps: bool = False) -> FloatArray:
         """Return lengths (N, k), m, of k columns, in `unit` where they name none; else as `numbers`.
