@@ -201,8 +201,9 @@ def _clearance_at_start(scene: Scene, robot: Robot) -> Iterator[_Found]:
     pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
     yield "clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"
     if distance < margin:
-        clear = "a start that is clear by planner.safety_margin_m"
-        yield _warning(scene.posture_key, pair.describe(distance, margin), clear)
+        clear, near = "a start that is clear by planner.safety_margin_m", pair.describe(distance, margin)
+        # No motion begins there, nor an approach.
+        yield Finding(severity="error", key=scene.posture_key, got=near, expected=clear)
 
 
 def _statics_at_start(scene: Scene, robot: Robot, task: ToolTask) -> Iterator[_Found]:

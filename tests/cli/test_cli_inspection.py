@@ -62,22 +62,23 @@ START = (1.81535, 0.77957, -2.06284)
     ("gap", "words"),
     [(-0.01, "tool reaches 0.0100 m into block"), (0.01, "tool comes within 0.0100 m of block")],
 )
-def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, words: str) -> None:
+def test_from_a_start_that_is_not_clear_no_plan_is_possible(tmp_path: Path, gap: float, words: str) -> None:
     x, y, z = START
     block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": [x, y + 0.09 + gap, z]}
     path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
-    out = output("check", path)
-    first, *_, last = out.splitlines()
+    first, *_, last = run("check", path).out.splitlines()
     assert first.startswith(
-        f"warning: {path}:1: start.posture_deg: got {words}, the safety margin is 0.02 m, expected"
+        f"error: {path}:1: start.posture_deg: got {words}, the safety margin is 0.02 m, expected"
     )
-    assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
+    assert last == "No plan is possible: 1 error, 1 warning."
+    with pytest.raises(cmbot.PathNotFound, match="block"):
+        cmbot.plan(cmbot.load_scene(path), progress=False)
     start, way = json.loads(run("check", path, "--json").out)["findings"]
-    assert (start["severity"], start["key"]) == ("warning", "start.posture_deg")
+    assert (start["severity"], start["key"]) == ("error", "start.posture_deg")
     # No other posture that holds the tool there is clear.
     assert (way["severity"], way["key"]) == ("warning", "tool_path.legs[0]")
     assert "none of" in way["got"] and "block" in way["got"]
-    assert run("check", path, "--quiet").out == ""
+    assert run("check", path, "--quiet").out == f"{first}\n"
 
 
 def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) -> None:
