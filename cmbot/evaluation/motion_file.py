@@ -24,6 +24,7 @@ _MOTION_TIME_COLUMNS = ("t", "time", "seconds", "time_from_start")
 # Where messages have their trajectory: goals of actions, RobotTrajectory, DisplayTrajectory.
 _TRAJECTORY_KEYS = ("trajectory", "joint_trajectory", "goal")
 _EXPECTED_FILES = "a table with t and the joints, a JointTrajectory (.json, .yaml), or a plan directory"
+_BAGS = (".mcap", ".bag", ".db3")
 _NANO = 1e-9
 
 
@@ -59,6 +60,9 @@ def read_motion(path: str | Path, robot: Robot) -> JointMotion:
         return _from_message(_json(path), str(path), robot)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _from_message(read_yaml(path, InputError, _EXPECTED_FILES), str(path), robot)
+    if path.suffix.lower() in _BAGS:
+        expected = f"{_EXPECTED_FILES}; of a plan's own bag cmbot verify says whether it has its motion"
+        raise InputError(str(path), "", "a bag of ROS messages", expected)
     return _from_table(read_table(path, InputError, kind=_EXPECTED_FILES), robot)
 
 
@@ -77,7 +81,7 @@ def _from_table(table: TextTable, robot: Robot) -> JointMotion:
 
     velocity, acceleration = derivative("v"), derivative("a")
     return JointMotion(
-        t=_increasing(table.numbers([time])[:, 0], table.source),
+        t=_increasing(table.seconds(time), table.source),
         q=q,
         v=velocity,
         a=acceleration,

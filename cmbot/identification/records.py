@@ -123,9 +123,9 @@ def read_record(path: Path) -> RingDown:
         raise InputError(str(path), "line 1", got, "a column t and one or all of ax, ay, az")
     if len(table.rows) < _MIN_SAMPLES:
         raise InputError(str(path), "", counted(len(table.rows), "row"), f"{_MIN_SAMPLES} or more rows")
-    t, a = table.numbers([time])[:, 0], table.numbers(axes)
+    t, a = table.seconds(time), table.numbers(axes)
     steps = np.diff(t)
-    in_ms = table.units[time].lower() == "ms" or table.names[time].endswith("_ms")
+    in_ms = table.names[time].endswith("_ms")
     if in_ms or (not table.units[time] and np.median(steps) > _NO_STEP_IN_SECONDS):
         t, steps = 1e-3 * t, 1e-3 * steps
     step = float(np.median(steps))

@@ -86,3 +86,16 @@ def test_units_of_joints_count_and_a_column_is_there_once(tmp_path: Path) -> Non
         read("q1,q2 (grad),q3").joints(["turn", "shift"])
     with pytest.raises(InputError, match=r"line 1, q1: got 2 columns of this name, expected one"):
         read("q1,q2,Q1").joints(["turn", "shift"])
+
+
+def test_units_of_times_count(tmp_path: Path) -> None:
+    file = tmp_path / "record.csv"
+
+    def seconds(heading: str) -> list[float]:
+        file.write_text(f"{heading}\n0,1\n500,2\n", encoding="utf-8")
+        return list(read_table(file, InputError, kind="a table").seconds(0))
+
+    assert seconds("t,a") == seconds("Time (s),a") == [0.0, 500.0]
+    assert seconds("t [ms],a") == [0.0, 0.5]
+    with pytest.raises(InputError, match=r"line 1, t: got the unit min, expected s, ms or us"):
+        seconds("t (min),a")

@@ -198,6 +198,8 @@ def test_tables_by_the_names_of_joints(cmbot_robot: Robot, tmp_path: Path) -> No
         ("m.csv", "a,q1\n0,1\n1,2\n", "expected a column t"),
         ("m.csv", "t,q1,q2,q3,q4,q5,q6,q7\n0,1,1,1,1,1,1,x\n1,1,1,1,1,1,1,1\n", "line 2, q7: got 'x'"),
         ("m.csv", "t,q1,q2,q3,q4,q5,q6,q7\n1,1,1,1,1,1,1,1\n1,1,1,1,1,1,1,1\n", "times increasing"),
+        ("m.csv", "t (min),q1,q2,q3,q4,q5,q6,q7\n0,1,1,1,1,1,1,1\n1,1,1,1,1,1,1,1\n", "the unit min"),
+        ("m.mcap", "", "got a bag of ROS messages, expected a table with t and the joints, .* cmbot verify"),
         ("m.json", "{", "no JSON"),
         (
             "m.json",

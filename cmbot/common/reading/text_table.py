@@ -30,6 +30,7 @@ _COMMENT_MARK = "#"
 _PLACE_AND_UNIT = re.compile(r"\s*(d?[xyz])[_/](m|mm|cm|um|in)\s*", re.IGNORECASE)
 _IN_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
 _IN_RADIANS_OR_METRES = {"rad": 1.0, "deg": math.radians(1.0), "°": math.radians(1.0), "m": 1.0, "mm": 1e-3}
+_IN_SECONDS = {**dict.fromkeys(("s", "sec", "seconds"), 1.0), "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 # What stands where nothing was measured.
 GAPS = ("", "-", "nan", "null", "none")
 
@@ -124,6 +125,14 @@ class TextTable(ShortRepr):
                 raise self.error_type(self.source, key, got, "m, cm, mm, um or in")
             scales.append(_IN_METRES[given])
         return np.asarray(self.numbers(columns, gaps=gaps) * scales)
+
+    def seconds(self, column: int) -> FloatArray:
+        """Return the times (N,), s, of a column; errors as of `lengths`."""
+        given = self.units[column].lower() or "s"
+        if given not in _IN_SECONDS:
+            key, got = f"line 1, {self.names[column]}", f"the unit {given}"
+            raise self.error_type(self.source, key, got, "s, ms or us")
+        return self.numbers([column])[:, 0] * _IN_SECONDS[given]
 
     def numbers(self, columns: Sequence[int], *, gaps: bool = False) -> FloatArray:
         """Return the numbers (N, k) of k columns, all finite; NaN for empty cells where `gaps` may be.

@@ -93,7 +93,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
     seconds = None
     if time is not None:
         used.append(time)
-        t = table.numbers([time])[:, 0]
+        t = table.seconds(time)
         seconds = float(t[-1] - t[0]) if (np.diff(t) >= 0).all() and t[-1] > t[0] else None
     unknown = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
     if unknown:
