@@ -65,9 +65,14 @@ class PlanCommand(Writing):
         "--set",
         metavar="NAME=VALUE",
     )
-    partial: bool = option(False, "Plan the strokes that can be planned where others cannot, and say which.")
+    partial: bool = option(
+        False, "Plan the strokes that can be planned where others cannot, and say which.", alone="strokes"
+    )
     near: Path | None = option(
-        None, "Plan near this earlier plan: frames moved by about 20 mm, or loads changed.", metavar="DIR"
+        None,
+        "Plan near this earlier plan: frames moved by about 20 mm, or loads changed.",
+        metavar="DIR",
+        alone="strokes",
     )
     options: bool = option(False, "List the planner's options, and stop.", instead=_print_options)
     verbose: bool = option(False, "Print all figures, loads and remarks.")
@@ -77,8 +82,6 @@ class PlanCommand(Writing):
         started = time.perf_counter()
         loaded, options = loaded_scene(self.scene, self.changes)
         directory, drawn = self.output or Path("out") / loaded.name, dict[str, bytes]()
-        if self.near is not None and self.partial:
-            raise InputError("--near", "--partial", "both", "one of them: near a plan are all of its strokes")
 
         def require() -> None:
             cmbot.archive.require_free(directory, force=self.force)

@@ -129,7 +129,7 @@ def test_plan_near_an_earlier_one(folder: Path, directory: Path, tmp_path: Path)
     assert told in outcome.out
     refused = run(*asked, "--output", tmp_path / "both", "--partial")
     assert refused.status == 2
-    assert refused.err.startswith("error: --near: --partial: got both, expected one of them")
+    assert refused.err.startswith("error: cmbot plan: --partial, --near: got both, expected one of them")
     legs = [{"by": [0, 0.05, 0], "seconds": 3}] * 3
     write_scene(tmp_path / "other.yaml", {**SHORT, "tool_path": {"legs": legs}})
     other = run("plan", tmp_path / "other.yaml", "--near", directory, "--output", tmp_path / "no")
