@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,12 +101,10 @@ class TextTable(ShortRepr):
             if column is None:
                 expected = f"a column {joint}, {joint}_deg or q{number}{hint(joint.lower(), self.names)}"
                 raise self.error_type(self.source, "line 1", f"no column of joint {joint}", expected)
-            given = self.units[column].lower() or ("rad" if at is not None else "deg")
-            if given not in _IN_RADIANS_OR_METRES:
-                key, got = f"line 1, {self.names[column]}", f"the unit {given}"
-                raise self.error_type(self.source, key, got, "rad, deg, or of a joint that slides m, mm")
             columns.append(column)
-            scales.append(_IN_RADIANS_OR_METRES[given])
+            expected = "rad, deg, or of a joint that slides m, mm"
+            unit = "deg" if at is None else "rad"
+            scales.append(self._scale(column, unit, _IN_RADIANS_OR_METRES, expected))
         return self.numbers(columns) * np.array(scales), columns
 
     def lengths(self, columns: Sequence[int], unit: str, *, gaps: bool = False) -> FloatArray:
@@ -117,22 +115,20 @@ class TextTable(ShortRepr):
         InputError
             When a column has another unit; or as by `numbers`.
         """
-        scales = list[float]()
-        for column in columns:
-            given = self.units[column].lower() or unit
-            if given not in _IN_METRES:
-                key, got = f"line 1, {self.names[column]}", f"the unit {given}"
-                raise self.error_type(self.source, key, got, "m, cm, mm, um or in")
-            scales.append(_IN_METRES[given])
+        scales = [self._scale(column, unit, _IN_METRES, "m, cm, mm, um or in") for column in columns]
         return np.asarray(self.numbers(columns, gaps=gaps) * scales)
 
     def seconds(self, column: int) -> FloatArray:
         """Return the times (N,), s, of a column; errors as of `lengths`."""
-        given = self.units[column].lower() or "s"
-        if given not in _IN_SECONDS:
-            key, got = f"line 1, {self.names[column]}", f"the unit {given}"
-            raise self.error_type(self.source, key, got, "s, ms or us")
-        return self.numbers([column])[:, 0] * _IN_SECONDS[given]
+        return self.numbers([column])[:, 0] * self._scale(column, "s", _IN_SECONDS, "s, ms or us")
+
+    def _scale(self, column: int, unit: str, scales: Mapping[str, float], expected: str) -> float:
+        """The scale of a column's unit, or of `unit` where it names none; an error where it is not known."""
+        given = self.units[column].lower() or unit
+        if given not in scales:
+            key = f"line 1, {self.names[column]}"
+            raise self.error_type(self.source, key, f"the unit {given}", expected)
+        return scales[given]
 
     def numbers(self, columns: Sequence[int], *, gaps: bool = False) -> FloatArray:
         """Return the numbers (N, k) of k columns, all finite; NaN for empty cells where `gaps` may be.
