@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -95,8 +95,7 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         used.append(time)
         t = table.seconds(time)
         seconds = float(t[-1] - t[0]) if (np.diff(t) >= 0).all() and t[-1] > t[0] else None
-    unknown = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
-    if unknown:
+    if unknown := _unread(table, used):
         verb = "is" if len(unknown) == 1 else "are"
         what = f"{counted(len(unknown), 'column')} of {path.name} {verb} not read: {', '.join(unknown[:5])}"
         warnings.warn(what, stacklevel=2)
@@ -106,6 +105,11 @@ def read_waypoints(path: Path, given: WaypointFile, keep: object) -> tuple[list[
         turned = Rotation.from_matrix(X[:3, :3]) * Rotation.from_quat(quaternions, scalar_first=True)
         quaternions = turned.as_quat(scalar_first=True)
     return np.hstack([points, quaternions]).tolist(), seconds
+
+
+def _unread(table: TextTable, used: Sequence[int]) -> list[str]:
+    """Names of the columns that are not used, but for those of rows' numbers."""
+    return [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
 
 
 def _plain_name(name: str) -> str:
@@ -142,7 +146,7 @@ def _orientations(table: TextTable, keep: object, used: list[int]) -> FloatArray
             used += columns
             return _against(table.numbers(columns), table, names)
     if keep != "position":
-        others = [name for k, name in enumerate(table.names) if k not in used and name not in _ROW_NUMBERS]
+        others = _unread(table, used)
         got = f"places alone, and {', '.join(others[:5])}, which are not known" if others else "places alone"
         needed = _needed(keep)
         if set(_KUKA_COLUMNS) <= set(others):
