@@ -145,8 +145,7 @@ class Clearances:
         while tip < obstacle.contact:
             rest = Clearances(self._robot, [replace(obstacle, contact=tip)])
             pairs = np.flatnonzero([pair.tool_at_work for pair in rest.pairs])
-            distances = rest.distances(q, np.arange(len(q)).repeat(len(pairs)), np.tile(pairs, len(q)))
-            if (distances >= margin).all():
+            if (rest._distances_of(q, pairs) >= margin).all():
                 break
             tip += _DEPTH_STEP_M
         return replace(obstacle, contact=min(obstacle.contact, tip + _DEPTH_STEP_M))
@@ -161,8 +160,7 @@ class Clearances:
         q = np.random.default_rng(0).uniform(lower, upper, (_POSTURES_OF_LINKS, len(lower)))
         own = np.flatnonzero([pair.self_collision for pair in self.pairs])
         near = own[np.median(self.lower_bounds(q)[:, own], axis=0) < _NEAR_LINKS_M]
-        measured = self.distances(q, np.arange(len(q)).repeat(len(near)), np.tile(near, len(q)))
-        distances = measured.reshape(len(q), len(near))
+        distances = self._distances_of(q, near)
         return np.asarray(distances.min(axis=0)[np.median(distances, axis=0) < _NEAR_LINKS_M])
 
     def query(
@@ -213,6 +211,11 @@ class Clearances:
             for item, number in items:
                 found[item] = self._distance(number)
         return found
+
+    def _distances_of(self, q: FloatArray, pairs: IntArray) -> FloatArray:
+        """Distances (N, K), m, of pairs (K,) in all postures `q` (N, n)."""
+        posture = np.arange(len(q)).repeat(len(pairs))
+        return self.distances(q, posture, np.tile(pairs, len(q))).reshape(len(q), len(pairs))
 
     def _within_margin(self, q: FloatArray, margin: float) -> IntArray:
         """A pair (N,) that is nearer than `margin`, m, in each of the postures `q` (N, n); -1 without."""
