@@ -350,7 +350,7 @@ class _Budget:
 
     def remedied(self, name: str, probability: float) -> Remedy:
         """What a remedy of that name leaves, which led to these errors."""
-        largest = self.told[0].name if self.told else ""
+        largest = next((part.name for part in self.told), "")
         return Remedy(name=name, within_mm=_within(self.distances(), probability), largest=largest)
 
     def _told(self, name: str, bias: FloatArray, maps: FloatArray) -> AccuracyPart:
