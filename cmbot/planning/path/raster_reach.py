@@ -207,8 +207,8 @@ class _Follower:
             places.goals[on_rows[::_PLACE_STRIDE]], _ANYWHERE, self._known
         )
         for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
-            for k in order:
-                self._require_time(k, len(each))
+            for done, k in enumerate(order, start=1):
+                self._require_time(done, len(each))
                 before = each[k - order.step]
                 if not len(each[k]) and len(before):
                     each[k] = self._carried(before, places.goals[on_rows[k]], _MANY_POSTURES)
